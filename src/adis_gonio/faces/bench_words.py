@@ -90,7 +90,7 @@ def reason_of(question: events.ExtensionOffered, planned: int) -> tuple[str, str
     return " ".join(f"{reason[:1].upper()}{reason[1:]}." for reason in reasons), f"Go on with {where}?"
 
 
-def help_lines(*, hands: bool = False) -> list[str]:
+def help_lines(*, hands: bool) -> list[str]:
     """Return the lines of a list of all keys with their meanings.
 
     `hands` adds the keys that move a simulated part.

@@ -17,14 +17,11 @@ from adis_gonio.device.bus.opening import BusUrl
 if TYPE_CHECKING:
     from adis_gonio.sim.testing.doubles import BoardStage
 
-OPTION, FREE = "hands", "free"
 FREE_RATE_HZ = 100.0
 """Default sample rate in Hz.
 
 The board runs in this process, so that a slow machine has to keep up with it.
 """
-BUMP_DEG = 2.0
-"""Angle in degrees by which a bump turns the part forth and back."""
 
 
 class Hands:
@@ -46,7 +43,7 @@ class Hands:
 
     def bump(self) -> str:
         """Turn the part a little, forth and back, as by a bump; return a line for the operator."""
-        return self._start([BUMP_DEG, -BUMP_DEG])
+        return self._start([2.0, -2.0])
 
     def _start(self, turns_deg: list[float]) -> str:
         if not self._busy.acquire(blocking=False):
@@ -75,11 +72,11 @@ def free_hands(url: str) -> Iterator[tuple[str, Hands | None]]:
         The board cannot be opened, see `adis_gonio.testing.open_board`.
     """
     parsed = BusUrl.parse(url)
-    if parsed.scheme != "sim" or parsed.options.get(OPTION) != FREE:
+    if parsed.scheme != "sim" or parsed.options.get("hands") != "free":
         yield url, None
         return
     from adis_gonio.sim.testing.doubles import open_board
 
-    options = urlencode([pair for pair in parsed.options.items() if pair[0] != OPTION], safe=":=,;.")
+    options = urlencode([pair for pair in parsed.options.items() if pair[0] != "hands"], safe=":=,;.")
     with open_board(f"sim:?{options}" if options else "sim:") as board:
         yield board.url, Hands(board.stage)

@@ -727,10 +727,6 @@ class JointMeasurement(Measurement):
         return seen
 
 
-FULL_DPS = 100.0
-"""Rate in °/s of a brisk turn by hand; amplitudes of unnamed functions are stated at this rate."""
-
-
 @dataclass(frozen=True)
 class MeanRate(Measurement):
     """Mean readings of three gyros over a dwell or a turn; their "attitude" is the true rate (n, 3) in °/s.
@@ -743,7 +739,7 @@ class MeanRate(Measurement):
     freedom = 0
     part = "gyro"
     unit = "dps"
-    full = FULL_DPS
+    full = 100.0  # °/s, a brisk turn by hand, at which amplitudes of unnamed functions are stated
     constant = True
     driven_by = ("force", "rotation")
     named_forms = MappingProxyType(

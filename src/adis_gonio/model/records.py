@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -169,17 +169,6 @@ class Turn(SampleSeries):
 
     def __repr__(self) -> str:
         return f"Turn({self.before} to {self.position}: {counted(len(self), 'sample')})"
-
-
-def turns_of_recording(recording: Dwell, dwells: Sequence[Dwell]) -> tuple[Turn, ...]:
-    """Return the turns between successive dwells of a continuous recording, as views of its rows."""
-    made = []
-    for before, after in pairwise(dwells):
-        low = int(recording.time_s.searchsorted(before.time_s[-1], side="right"))
-        high = int(recording.time_s.searchsorted(after.time_s[0], side="left"))
-        series = recording.series(slice(low, max(low, high)))
-        made.append(Turn(before.position, after.position, turned_deg=after.turned_deg, **series))
-    return tuple(made)
 
 
 Plane = Literal["xy", "none"]
@@ -470,9 +459,14 @@ class Session(ComputedOnce):
         if self.turns_from is not None:
             here = {dwell.position for dwell in self.dwells}
             return tuple(turn for turn in self.turns_from() if {turn.before, turn.position} <= here)
+        made = []
         if self.recording is not None and not self.free_turn:
-            return turns_of_recording(self.recording, self.dwells)
-        return ()
+            for before, after in pairwise(self.dwells):
+                low = int(self.recording.time_s.searchsorted(before.time_s[-1], side="right"))
+                high = int(self.recording.time_s.searchsorted(after.time_s[0], side="left"))
+                series = self.recording.series(slice(low, max(low, high)))  # views of the rows
+                made.append(Turn(before.position, after.position, turned_deg=after.turned_deg, **series))
+        return tuple(made)
 
     @property
     def sampled(self) -> tuple[Dwell, ...]:

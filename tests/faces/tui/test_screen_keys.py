@@ -18,7 +18,7 @@ from adis_gonio.bench.gyro_turns import gyro_turns_plan
 from adis_gonio.faces import bench_words
 from adis_gonio.faces.cli import line_prompts as choosing
 from adis_gonio.faces.tui import bench_screen, screen_text
-from adis_gonio.faces.tui.bench_screen import FLASH_TICKS, ScreenFace
+from adis_gonio.faces.tui.bench_screen import FLASH_TICKS, run_screen
 from adis_gonio.faces.tui.bench_state import BenchState, Mark
 from faces.tui.screens import RESUME, PlayedRunner, shown
 from faces.tui.states import (
@@ -277,9 +277,9 @@ def test_every_question_has_a_default_that_is_told_apart_without_colour(name):
 
 
 def test_marks_are_told_apart_by_sign_and_by_word():
-    assert len({mark.sign for mark in Mark}) == len(Mark)
-    assert len({mark.word for mark in Mark}) == len(Mark)
-    assert max(len(mark.word) for mark in Mark) <= 7
+    assert len({mark.value[0] for mark in Mark}) == len(Mark)
+    assert len({mark.value[1] for mark in Mark}) == len(Mark)
+    assert max(len(mark.value[1]) for mark in Mark) <= 7
 
 
 @pytest.mark.parametrize("height", [3, 5, 10, 40])
@@ -348,7 +348,7 @@ def headless(monkeypatch):
 def test_the_end_is_told_after_the_screen(capsys, complete):
     finished = events.Finished("today.session", complete, 3, 0, 12)
     runner = PlayedRunner([*THREE, finished], ends=True)
-    assert ScreenFace(runner, RESUME).run() is complete
+    assert run_screen(runner, RESUME) is complete
     told = capsys.readouterr().err
     assert re.search(r"x +\+1010\.40 .*120°", told), "what was said stays in the terminal"
     assert ("not complete: 3 of 12" in told) is not complete
@@ -358,7 +358,7 @@ def test_the_end_is_told_after_the_screen(capsys, complete):
 def test_a_bus_that_fails_ends_the_screen_with_its_error():
     runner = PlayedRunner([*THREE, BusTimeoutError("serial:/dev/ttyACM0: no answer")])
     with pytest.raises(BusTimeoutError, match="no answer"):
-        ScreenFace(runner, RESUME).run()
+        run_screen(runner, RESUME)
 
 
 @pytest.mark.usefixtures("headless")
@@ -366,7 +366,7 @@ def test_a_screen_that_fails_stops_the_session_and_is_one_line(capsys, monkeypat
     monkeypatch.setattr(screen_text, "task", lambda state: 1 / 0)
     runner = PlayedRunner(THREE)
     with pytest.raises(SessionError, match=r"the screen failed .*ZeroDivisionError") as caught:
-        ScreenFace(runner, RESUME).run()
+        run_screen(runner, RESUME)
     assert f"{RESUME} --plain" in str(caught.value)
     assert "\n" not in str(caught.value)
     assert "stop" in runner.told
@@ -393,7 +393,7 @@ def test_a_second_ctrl_c_leaves_a_session_that_does_not_end(monkeypatch):
     tick = bench_screen.BenchApp.tick
     monkeypatch.setattr(Headless, "tick", press)
     with pytest.raises(KeyboardInterrupt):
-        ScreenFace(runner, RESUME).run()
+        run_screen(runner, RESUME)
     runner.release()
 
 
@@ -415,40 +415,35 @@ def terminal(monkeypatch):
     return monkeypatch
 
 
-def chosen(plain: bool = False) -> object:
-    return choosing.choose_face(PlayedRunner([]), "prompts", plain=plain, resume_by=RESUME)
-
-
 def test_a_terminal_that_can_gets_the_screen(terminal):
-    assert isinstance(chosen(), ScreenFace)
-    assert chosen(plain=True) == "prompts"
+    assert choosing.can_show_screen()
 
 
 @pytest.mark.parametrize("term", ["dumb", "", "unknown"])
 def test_a_dumb_terminal_gets_prompts(terminal, term, capsys):
     terminal.setenv("TERM", term)
-    assert chosen() == "prompts"
+    assert not choosing.can_show_screen()
     assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize("end", ["stdin", "stderr"])
 def test_a_pipe_gets_prompts(terminal, end):
     getattr(choosing.sys, end).isatty = lambda: False
-    assert chosen() == "prompts"
+    assert not choosing.can_show_screen()
 
 
 def test_an_encoding_without_the_signs_gets_prompts(terminal):
     choosing.sys.stderr.encoding = "cp1252"
-    assert chosen() == "prompts"
+    assert not choosing.can_show_screen()
 
 
 def test_a_small_terminal_gets_prompts_and_is_told(terminal, capsys):
     terminal.setenv("COLUMNS", "79")
-    assert chosen() == "prompts"
+    assert not choosing.can_show_screen()
     assert "needs 80 × 24 characters, this terminal has 79 × 24" in capsys.readouterr().err
 
 
 def test_without_the_extra_there_are_prompts_and_the_name_of_it(terminal, capsys):
     terminal.setattr(choosing.importlib.util, "find_spec", lambda name: None)
-    assert chosen() == "prompts"
+    assert not choosing.can_show_screen()
     assert "pip install '.[bench]'" in capsys.readouterr().err

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from adis_gonio.fleet.store import Store
 
 _HEAD = ("file", "serial", "operator", "stage", "date", "plan", "ΔK", "Δφ / °", "angle / °", "effects")
-_HISTORY_WIDTH = 80
 _MOST_ROWS = 40
 """Largest number of rows in a table of `fleet` on the terminal."""
 
@@ -159,7 +158,7 @@ def history_command(
     if as_json:
         show.print_json(found.as_dict())
         return
-    screen = show.console(most=_HISTORY_WIDTH)
+    screen = show.console(most=80)
     screen.print(f"Sensor {found.serial}: {sensor_history.headline(found)}", style="bold")
     show.print_table(screen, *sensor_history.value_rows(found))
     for track in found.tracks.values():

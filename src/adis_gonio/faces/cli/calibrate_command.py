@@ -18,7 +18,7 @@ from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 if TYPE_CHECKING:
     from adis_gonio.bench.advisor import TraceAdvisor
     from adis_gonio.bench.runner import SessionRunner
-    from adis_gonio.model.records import Session, StageCurve
+    from adis_gonio.model.records import Session
     from adis_gonio.record.plans import Plan
     from adis_gonio.record.source import SampleSource
     from adis_gonio.tracing.trace_result import TraceResult
@@ -187,7 +187,7 @@ def _run(
     `output` is the session file. `resume` is True for the session of an earlier run; `advisor` is None
     without a trace. `options` are further options of the command.
     """
-    from adis_gonio.faces.cli.line_prompts import PlainBench, choose_face
+    from adis_gonio.faces.cli.line_prompts import PlainBench, can_show_screen
     from adis_gonio.faces.free_hands import FREE_RATE_HZ, free_hands
     from adis_gonio.record.source import open_source
 
@@ -201,16 +201,19 @@ def _run(
             if options["rate_hz"] is None and not resume:
                 options["rate_hz"] = FREE_RATE_HZ
         runner = _runner(sensor, output, resume=resume, advisor=advisor, **options)
-        prompts = PlainBench(runner, auto=options["auto"], hands=hands)
         plain = plain or options["auto"] or not runner.judges_places  # the screen shows positions
-        face = choose_face(runner, prompts, plain=plain, resume_by=resume_by, hands=hands)
-        complete = False
+        on_screen, complete = not plain and can_show_screen(), False
         try:
-            complete = face.run()
+            if on_screen:
+                from adis_gonio.faces.tui.bench_screen import run_screen
+
+                complete = run_screen(runner, resume_by, hands)
+            else:
+                complete = PlainBench(runner, auto=options["auto"], hands=hands).run()
         finally:  # also if the device is lost
             if not complete:
                 click.echo(f"what was recorded is kept; go on with {resume_by}", err=True)
-        return complete, face is not prompts
+        return complete, on_screen
 
 
 def _show_result(
@@ -353,7 +356,13 @@ def _runner(
         if options["poll"]:
             raise UsageError("--resume gets its scans as the session did before: leave --poll out")
         return SessionRunner.resume(sensor, output, auto=auto, extend=extend, advisor=advisor)
-    gravity, fixture = _gravity_and_fixture(sensor, plan_name, **options)
+    gravity, fixture = options["gravity_mps2"], options["fixture_deg"]
+    if sensor.world is not None:
+        # A simulated bench states values that are not given, as the operator of a real bench knows them.
+        known = sensor.world.settings
+        sigma = known.mark_sigma_deg if plan_name == GYRO_TURNS else known.fixture_sigma_deg
+        gravity = known.gravity_mps2 if gravity is None else gravity
+        fixture = sigma if fixture is None else fixture
     if plan_name in _TURNED and (check or extend or advisor is not None):
         raise UsageError(f"{_TURNED[plan_name]}: leave --check, --extend and --trace out")
     chosen, length_s = _choose_plan(plan_name, positions, check, duration_s, turns)
@@ -375,7 +384,7 @@ def _runner(
         settings,
         auto=auto,
         extend=extend,
-        gravity_mps2=gravity,
+        gravity_mps2=STANDARD_GRAVITY_MPS2 if gravity is None else gravity,
         fixture_sigma_deg=fixture if isinstance(fixture, float) and plan_name != FREE_TURN else None,
         stage_curve=None if isinstance(fixture, float | None) else fixture,
         title=options["title"],
@@ -383,29 +392,6 @@ def _runner(
         **_metadata(options, ask=on_terminal() and not auto),
         advisor=advisor,
     )
-
-
-def _gravity_and_fixture(
-    sensor: SampleSource,
-    plan_name: str | None,
-    *,
-    gravity_mps2: float | None,
-    fixture_deg: float | StageCurve | None,
-    **_: Any,
-) -> tuple[float, float | StageCurve | None]:
-    """Return local gravity in m/s², and the uncertainty of a stage angle.
-
-    The uncertainty is in degrees, or the stage's certificate, or None if it is not given. The arguments are
-    the options of the command, None if not given. A simulated bench states both values if they are not
-    given, as the operator of a real bench knows them.
-    """
-    world = sensor.world
-    if world is None:
-        return STANDARD_GRAVITY_MPS2 if gravity_mps2 is None else gravity_mps2, fixture_deg
-    simulated = world.settings
-    if fixture_deg is None:
-        fixture_deg = simulated.mark_sigma_deg if plan_name == "gyro-turns" else simulated.fixture_sigma_deg
-    return simulated.gravity_mps2 if gravity_mps2 is None else gravity_mps2, fixture_deg
 
 
 def _metadata(options: dict[str, Any], *, ask: bool) -> dict[str, str]:

@@ -200,7 +200,7 @@ def frames_command(
 @option.flag("--fields", help="Show the bit fields of control registers.")
 @option.flag("--save", help="Save to flash after writing (ENDURANCE goes up by one).")
 @option.file(
-    "--cal", "calibration_path", metavar="FILE",
+    "--cal", "calibration_path",
     help="Also show the offsets that this calibration (export, JSON) or session would write.",
 )  # fmt: skip
 @option.variant

@@ -25,10 +25,6 @@ if TYPE_CHECKING:
     from adis_gonio.model.records import Session
     from adis_gonio.record.loading import Overrides
 
-_PARAMETER_HEAD = ("parameter", "unit", "value", "u", "U (95 %)", "k", "ν")
-_METHOD_WIDTH = 24
-"""Width, in characters, of the column for one method in the tables of all methods."""
-
 
 @option.command(
     "fit",
@@ -52,7 +48,7 @@ _METHOD_WIDTH = 24
 @option.with_default("--seed", type=int, default=1, help="Seed of the trials.")
 @option.part()
 @option.file(
-    "--calibration", metavar="FILE",
+    "--calibration",
     help="With --sensor-part gyro: calibration or session of the same part's accelerometers.",
 )  # fmt: skip
 @option.file(
@@ -183,7 +179,8 @@ def _print_parameters(
     parameters: Mapping[str, Value],
     truth: Mapping[str, float] | None,
 ) -> None:
-    columns, rows = list(_PARAMETER_HEAD), [list(row) for row in given]
+    columns = ["parameter", "unit", "value", "u", "U (95 %)", "k", "ν"]
+    rows = [list(row) for row in given]
     if truth is not None:
         columns.insert(2, "truth")
         for row, (name, value) in zip(rows, parameters.items(), strict=True):
@@ -208,7 +205,7 @@ def _print_scores(screen: Console, answer: Answer, *, everything: bool) -> None:
             show.print_table(screen, head, rows, bold=rows[0][:1] if rows else ())
     for method, reason in failures.items():
         screen.print(f"no result by {method}: {reason}")
-    most = max(1, (screen.width - 26) // _METHOD_WIDTH)
+    most = max(1, (screen.width - 26) // 24)  # the column of a method is 24 characters wide
     for block_head, block in method_tables(answer.comparison.results, most) if everything else ():
         screen.print()
         show.print_table(screen, block_head, block, (0, 1))

@@ -13,15 +13,7 @@ from typing import TYPE_CHECKING
 import click
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import (
-    check_page,
-    print_json,
-    report_progress,
-    report_written,
-    say,
-    write_page,
-)
+from adis_gonio.faces.cli import options as option, show
 from adis_gonio.handover.formats import BY_NAME, FORMATS, format_of
 
 if TYPE_CHECKING:
@@ -86,7 +78,7 @@ def export_command(
         raise UsageError(f"--format {kind} needs -o FILE; -o - is standard output")
     shown = traced or sys.stderr.isatty()  # a log has no use for work of seconds
     what = f"{'tracing' if traced else 'exporting'} {session.name}"
-    with report_progress(what) if shown else nullcontext():
+    with show.report_progress(what) if shown else nullcontext():
         if output is not None and to_file:
             with replacing(output) as temporary:
                 remarks = source.write(kind, temporary)
@@ -99,9 +91,9 @@ def export_command(
                     shutil.copyfileobj(file, sys.stdout.buffer)
                 sys.stdout.flush()
     for remark in remarks:
-        say(f"{session}: {remark}")
+        show.say(f"{session}: {remark}")
     if output is not None and to_file:
-        report_written(output, kind)
+        show.report_written(output, kind)
 
 
 _LISTED = [f"{one.name:<9} {' '.join(one.endings[:2]):<14} {one.meaning}" for one in FORMATS]
@@ -121,13 +113,13 @@ def paper_command(*, output: Path | None, as_json: bool, seed: int, sessions: in
     """
     from adis_gonio.handover.paper_study import build_page, reproduce, verdicts
 
-    check_page(output)
-    with report_progress("the seed paper"):
+    show.check_page(output)
+    with show.report_progress("the seed paper"):
         done = reproduce(seed, sessions)
     if output is not None:
-        write_page(output, build_page(done))
+        show.write_page(output, build_page(done))
     if as_json:
-        print_json(done.as_dict())
+        show.print_json(done.as_dict())
     elif output is None:
         for sentence in verdicts(done):
             click.echo(sentence)

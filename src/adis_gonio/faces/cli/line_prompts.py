@@ -1,6 +1,6 @@
 """A bench session in plain lines: prompts and progress on standard error, answers from standard input.
 
-`choose_face` decides between these prompts and the bench screen.
+`can_show_screen` decides between these prompts and the bench screen.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -239,7 +239,8 @@ class PlainBench:
         try:
             line = self._lines.next(wait=wait)
         except EOFError:
-            self._close(self._no_more_input)
+            self._screen.print("\nno more input: the session ends here", style="yellow")
+            self._close(self._runner.stop)
             return
         except KeyboardInterrupt:
             self._close(self._runner.stop)
@@ -300,10 +301,6 @@ class PlainBench:
         self._progress.start()
         action()
 
-    def _no_more_input(self) -> None:
-        self._say("\nno more input: the session ends here", "yellow")
-        self._runner.stop()
-
     # -- lines that stay --------------------------------------------------------------------------
 
     def _report(self, event: events.Event) -> None:
@@ -328,8 +325,8 @@ class PlainBench:
         ]:
             print_indented(self._screen, line, style="yellow" if level == "warned" else "")
 
-    def _say(self, text: str, style: str = "") -> None:
-        self._screen.print(text, style=style or None)
+    def _say(self, text: str) -> None:
+        self._screen.print(text)
 
     # -- the line that moves ----------------------------------------------------------------------
 
@@ -372,37 +369,15 @@ def _progress_of(
     return what, note, event.elapsed_s, event.length_s
 
 
-class Face(Protocol):
-    """Interface of front ends, which run a session and ask its operator."""
+def can_show_screen() -> bool:
+    """Return True if the terminal can show a session on the full screen, else it needs plain prompts.
 
-    def run(self) -> bool:
-        """Run the session; return True if it is complete."""
-
-
-def choose_face(
-    runner: SessionRunner, prompts: Face, *, plain: bool, resume_by: str, hands: Hands | None = None
-) -> Face:
-    """Return the full-screen front end if it is wanted and possible, else the plain prompts.
-
-    A message explains why a terminal gets plain prompts although the screen was wanted.
-
-    Parameters
-    ----------
-    runner : SessionRunner
-        Runner of the session, which has not started.
-    prompts : Face
-        Plain prompts for the same runner.
-    plain : bool
-        True if the screen is not wanted: `--plain`, or a session without questions.
-    resume_by : str
-        Command that resumes the session.
-    hands : Hands, optional
-        Simulated part that the operator's keys move.
+    A message explains why a terminal gets plain prompts.
     """
     encoding = (getattr(sys.stderr, "encoding", None) or "").lower().replace("-", "")
     able = os.environ.get("TERM", "") not in ("", "dumb", "unknown") and encoding == "utf8"
-    if plain or not (able and on_terminal() and sys.stderr.isatty()):
-        return prompts
+    if not (able and on_terminal() and sys.stderr.isatty()):
+        return False
     size = shutil.get_terminal_size()
     missing = ""
     if importlib.util.find_spec("textual") is None:
@@ -412,7 +387,4 @@ def choose_face(
         missing = f"the bench screen needs {least}, this terminal has {size.columns} × {size.lines}"
     if missing:
         click.echo(f"plain prompts: {missing}", err=True)
-        return prompts
-    from adis_gonio.faces.tui.bench_screen import ScreenFace
-
-    return ScreenFace(runner, resume_by, hands)
+    return not missing

@@ -354,7 +354,7 @@ class Columns:
 @option.url
 @option.seconds
 @option.file(
-    "--cal", "calibration_path", metavar="FILE",
+    "--cal", "calibration_path",
     help="Correct the angle by a calibration (export, JSON) or by the fit of a session.",
 )  # fmt: skip
 @option.with_default(

@@ -223,14 +223,15 @@ def dwell(default_s: float = 10.0) -> Option[Any]:
 
 
 def fixture(
-    name: str = "fixture_deg", metavar: str = "DEGREES", help: str = "", **more: Any
+    name: str = "fixture_deg",
+    metavar: str = "DEGREES",
+    help: str = "Standard uncertainty of a stage angle in degrees.",
+    **more: Any,
 ) -> Option[Any]:
     """Return the option `--fixture` for the standard uncertainty of a stage angle in degrees.
 
-    `name` is the argument of the command; `metavar` stands for the value in the help; empty `help` takes
-    the usual help text.
+    `name` is the argument of the command; `metavar` stands for the value in the help.
     """
-    help = help or "Standard uncertainty of a stage angle in degrees."
     return click.option("--fixture", name, metavar=metavar, help=help, **{"type": parse_fixture, **more})
 
 
@@ -239,13 +240,15 @@ def gravity(help: str = "Local gravity in m/s² (default 9.80665).", **more: Any
     return click.option("--gravity", "gravity_mps2", type=parse_gravity, metavar="M/S²", help=help, **more)
 
 
-def part(default: str = "accelerometer", help: str = "Part of the sensor to use.") -> Option[Any]:
+def part(default: str = "accelerometer") -> Option[Any]:
     """Return the option `--sensor-part`, which selects accelerometer or gyro.
 
     `default` is the preselected part.
     """
     parts = click.Choice(sorted(("accelerometer", "gyro"), key=lambda part: part != default))
-    return with_default("--sensor-part", "part", type=parts, default=default, help=help)
+    return with_default(
+        "--sensor-part", "part", type=parts, default=default, help="Part of the sensor to use."
+    )
 
 
 def time_limit(help: str) -> Option[Any]:
@@ -341,7 +344,6 @@ def index(function: Callable[..., Any]) -> Callable[..., Any]:
     index = file(
         "--index",
         "index_path",
-        metavar="FILE",
         help="Index of the results (default: adis-gonio.index in the first folder).",
     )
     trace = flag("--trace", help="Also look for effects: up to half a minute a session, once.")

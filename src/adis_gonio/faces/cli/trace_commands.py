@@ -10,16 +10,7 @@ import click
 
 from adis_gonio.base.errors import AdisGonioError, UsageError
 from adis_gonio.base.numbers import counted, format_percent
-from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import (
-    WIDTH,
-    check_page,
-    console,
-    print_json,
-    print_table,
-    report_progress,
-    write_page,
-)
+from adis_gonio.faces.cli import options as option, show
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -27,7 +18,6 @@ if TYPE_CHECKING:
 
     from adis_gonio.base.conformity import Tolerance
     from adis_gonio.model.records import Session
-    from adis_gonio.page.document import Section
     from adis_gonio.record.loading import Overrides
     from adis_gonio.tracing.trace_result import TraceResult
 
@@ -84,13 +74,13 @@ def trace_command(
         )
     where = sessions[0].name if len(loaded) == 1 else counted(len(loaded), "session")
     result: TraceResult
-    with report_progress(f"tracing {dwells} of {where}"):
+    with show.report_progress(f"tracing {dwells} of {where}"):
         if len(loaded) == 1:
             result = trace(loaded[0], max_effects=max_effects, time_limit=time_limit, part=part, **what_if)
         else:
             result = trace_sessions(loaded, max_effects=max_effects, time_limit=time_limit)
     if as_json:
-        print_json(result.as_dict())
+        show.print_json(result.as_dict())
     else:
         print_trace(loaded, result)
 
@@ -100,7 +90,7 @@ def print_trace(sessions: Sequence[Session], result: TraceResult) -> None:
     from adis_gonio.tracing import trace_summary as summary
     from adis_gonio.tracing.joint_trace import JointResult
 
-    screen = console(most=WIDTH)
+    screen = show.console(most=show.WIDTH)
     for session in sessions:
         screen.print(f"{summary.title(session)}: {summary.shape(session)}")
     if result.what_if is not None:
@@ -197,7 +187,7 @@ def _print_models(screen: Console, cells: tuple[list[str], list[list[str]]]) -> 
     (first, *names), rows = cells
     head = [name if name.endswith("dof") else name.replace(" / ", "\n") for name in names]
     head = [first, *(name.replace("error of the angle", "angle") for name in head)]
-    print_table(screen, head, rows, bold=[rows[-1][0]] if len(rows) > 1 else (), indent=3)
+    show.print_table(screen, head, rows, bold=[rows[-1][0]] if len(rows) > 1 else (), indent=3)
 
 
 def _plain(text: str, style: str = "") -> Text:
@@ -232,7 +222,7 @@ def print_loop(session: Session) -> None:
     if not ended:
         declined = len(session.facts["plan"]["positions"]) == rounds[-1]["planned"]
         ended = "further positions were declined" if declined else "not ended: go on with --resume --trace"
-    screen = console(most=WIDTH)
+    screen = show.console(most=show.WIDTH)
     _print_heading(screen, "Closing the loop")
     screen.print(f"   {ended}")
 
@@ -259,12 +249,12 @@ def report_command(
     supports, the trace with a figure for each step, the effects that could not be seen, measurements to
     make next, and the data.
     """
-    check_page(output)
+    show.check_page(output)
     loaded = option.load(session, overrides)
     what = "a free turn" if loaded.free_turn else counted(len(loaded.dwells), "dwell")
-    with report_progress(f"report of {what} of {session.name}"):
+    with show.report_progress(f"report of {what} of {session.name}"):
         page = _report_page(loaded, time_limit, tolerance, what_if)
-    write_page(output, page)
+    show.write_page(output, page)
 
 
 def _report_page(
@@ -278,7 +268,9 @@ def _report_page(
     from adis_gonio.base.budget import current, with_progress
     from adis_gonio.fitting import applicable_methods, fit
     from adis_gonio.handover.calibration_report import build_page, views
+    from adis_gonio.handover.digital_twin import twin_section
     from adis_gonio.handover.gyro_report import gyro_section, noise_section
+    from adis_gonio.page.document import Section
     from adis_gonio.tracing.trace import trace
 
     tell = current().tell
@@ -289,8 +281,7 @@ def _report_page(
             fits.append(fit(session, method=method))
         except AdisGonioError as error:
             failures[method] = str(error)
-    made = (gyro_section(session), noise_section(session))
-    gyros = [section for section in made if section is not None]
+    gyros = [section for section in (gyro_section(session), noise_section(session)) if section is not None]
     try:
         traced = trace(session, time_limit=time_limit, **what_if)
         drawn = views(session, traced)
@@ -299,22 +290,10 @@ def _report_page(
             raise
         return build_page(session, fits, str(error), None, gyros, failures, tolerance)
     tell("its digital twin")
-    twin = _twin_sections(session, traced)
-    tell("its figures")
-    return build_page(session, fits, traced, drawn, [*gyros, *twin], failures, tolerance)
-
-
-def _twin_sections(session: Session, traced: TraceResult) -> list[Section]:
-    """Return the section of the report that compares the session with its digital twin.
-
-    The twin is a simulation of the session with the traced model. The list has one section, or none if the
-    trace has no model of the session.
-    """
-    from adis_gonio.handover.digital_twin import twin_section
-    from adis_gonio.page.document import Section
-
     try:
-        section = twin_section(session, traced)
+        twin = twin_section(session, traced)
     except AdisGonioError as error:
-        return [Section("The digital twin against the measured data", words=(f"There is none: {error}.",))]
-    return [] if section is None else [section]
+        twin = Section("The digital twin against the measured data", words=(f"There is none: {error}.",))
+    tell("its figures")
+    sections = gyros if twin is None else [*gyros, twin]
+    return build_page(session, fits, traced, drawn, sections, failures, tolerance)

@@ -183,22 +183,6 @@ class HelpDialog(_Finishing[None]):
         self.finish()
 
 
-def guard_dialog(event: events.GuardRaised) -> Dialog:
-    """Make the dialog for the question of a guard (a check of a dwell), with the numbers it measured."""
-    heading = f"{event.position}: {event.kind.replace('_', ' ')}"
-    rows = [format_measured(name, value) for name, value in event.values.items()]
-    return Dialog(heading, event.message, words.answers_to(event), event.default, rows)
-
-
-def offer_dialog(event: events.ExtensionOffered, planned: int) -> Dialog:
-    """Make the dialog that offers to extend the plan.
-
-    `planned` is the number of positions in the present plan.
-    """
-    reason, offer = words.reason_of(event, planned)
-    return Dialog(offer, reason, words.answers_to(event), words.default_of(event))
-
-
 QUIT = {
     "stop": BenchKey("y", "yes", "quit here", also="q"),
     "stay": BenchKey("n", "no", "go on with the session"),
@@ -208,9 +192,6 @@ QUIT = {
 LARGE_SIZE = (120, 40)
 """Smallest terminal, in columns and rows, on which the digits of the angle have double size."""
 
-LOOK_S = 0.05
-"""Shortest time in s between two readings during a question; a simulated sensor itself does not wait."""
-TICK_S = 0.1
 FLASH_TICKS = 6
 """Number of ticks for which the line of keys is marked after a key that means nothing."""
 
@@ -329,7 +310,8 @@ class BenchApp(App[None]):
             for event in self._runner.run():
                 self._events.put(event)
                 if isinstance(event, events.Watching) and event.state == "idle":
-                    time.sleep(max(0.0, looked_s + LOOK_S - time.monotonic()))
+                    # During a question a simulated sensor itself does not wait between two readings.
+                    time.sleep(max(0.0, looked_s + 0.05 - time.monotonic()))
                     looked_s = time.monotonic()
         except BaseException as error:
             self.error = error
@@ -358,16 +340,13 @@ class BenchApp(App[None]):
 
     def on_mount(self) -> None:
         """Start the session when the screen is ready."""
-        self._heed_signals()
-        self._worker.start()
-        self.set_interval(TICK_S, self.tick)
-
-    def _heed_signals(self) -> None:
-        """Let signals end the session as Ctrl-C does, so that the terminal is restored."""
+        # Signals end the session as Ctrl-C does, so that the terminal is restored.
         loop = asyncio.get_running_loop()
         for name in ("SIGTERM", "SIGINT", "SIGHUP"):
             with contextlib.suppress(AttributeError, NotImplementedError, RuntimeError, ValueError):
                 loop.add_signal_handler(getattr(signal, name), self._kill)
+        self._worker.start()
+        self.set_interval(0.1, self.tick)
 
     def _kill(self) -> None:
         self.killed = True
@@ -421,6 +400,9 @@ class BenchApp(App[None]):
         plan = Text(no_wrap=True, overflow="ellipsis")
         for line, style in screen_text.plan_rows(state, rows):
             plan.append(f"{line}\n", style=_STYLES[style])
+        messages = Text()
+        for message in reversed(state.messages):  # the newest first, so that the oldest ones are cut off
+            messages.append(f"{message.text}\n", style="yellow" if message.level == "warned" else "")
         size = f"{LEAST_SIZE[0]} × {LEAST_SIZE[1]}"
         small = f"This screen needs {size}, the terminal has {self.size.width} × {self.size.height}."
         texts: dict[str, Text] = {
@@ -434,7 +416,7 @@ class BenchApp(App[None]):
             "still": Text(screen_text.stillness(state, room), no_wrap=True, style=_still_style(state)),
             "waits": Text(screen_text.waiting(state, silence_s)),
             "progress": Text(screen_text.progress(state, room), no_wrap=True),
-            "messages": _messages(state),
+            "messages": messages,
             "keys": _keys(state, self.size.width, flash=self._flash_ticks > 0),
         }
         for name, text in texts.items():
@@ -459,10 +441,14 @@ class BenchApp(App[None]):
         dialog: Dialog | None = None
         match question:
             case events.GuardRaised():
-                dialog = guard_dialog(question)
+                heading = f"{question.position}: {question.kind.replace('_', ' ')}"
+                rows = [format_measured(name, value) for name, value in question.values.items()]
+                choices = words.answers_to(question)
+                dialog = Dialog(heading, question.message, choices, question.default, rows)
             case events.ExtensionOffered():
                 planned = 0 if self.state.plan is None else len(self.state.plan)
-                dialog = offer_dialog(question, planned)
+                reason, offer = words.reason_of(question, planned)
+                dialog = Dialog(offer, reason, words.answers_to(question), words.default_of(question))
             case events.PositionAsked() if not (self.state.zero_known or self._drawn):
                 self.action_draw()
             case _:
@@ -594,7 +580,7 @@ class BenchApp(App[None]):
         self.show()
 
     def _handle_exception(self, error: Exception) -> None:
-        """Close the screen without a traceback; `ScreenFace` reports the error afterwards."""
+        """Close the screen without a traceback; `run_screen` reports the error afterwards."""
         self.crash = self.crash or error
         self._runner.stop()
         super()._handle_exception(error)
@@ -607,14 +593,6 @@ def _still_style(state: BenchState) -> str:
     return "green" if state.spread_mg <= state.limit_mg else "bold red"
 
 
-def _messages(state: BenchState) -> Text:
-    """Return the text of all messages, the newest first, so that the oldest ones are cut off."""
-    text = Text()
-    for message in reversed(state.messages):
-        text.append(f"{message.text}\n", style="yellow" if message.level == "warned" else "")
-    return text
-
-
 def _keys(state: BenchState, width: int, *, flash: bool) -> Text:
     listed = screen_text.keys(state)
     text = Text("no such key: " if flash else "", style="bold reverse" if flash else "", no_wrap=True)
@@ -625,8 +603,8 @@ def _keys(state: BenchState, width: int, *, flash: bool) -> Text:
     return text
 
 
-class ScreenFace:
-    """Front end that runs a session on the full-screen display.
+def run_screen(runner: SessionRunner, resume_by: str, hands: Hands | None = None) -> bool:
+    """Run a session on the full-screen display; return True if it is complete.
 
     Parameters
     ----------
@@ -636,44 +614,35 @@ class ScreenFace:
         Command that resumes the session.
     hands : Hands, optional
         Simulated part that the operator's keys move; None for a real part.
+
+    Raises
+    ------
+    SessionError
+        The screen itself failed; the recorded data are kept.
+    Exception
+        Any error of the runner.
+    KeyboardInterrupt
+        The operator did not wait for the session's end, or a signal ended it.
     """
-
-    def __init__(self, runner: SessionRunner, resume_by: str, hands: Hands | None = None) -> None:
-        self._runner = runner
-        self._resume_by = resume_by
-        self._hands = hands
-
-    def run(self) -> bool:
-        """Run the session; return True if it is complete.
-
-        Raises
-        ------
-        SessionError
-            The screen itself failed; the recorded data are kept.
-        Exception
-            Any error of the runner.
-        KeyboardInterrupt
-            The operator did not wait for the session's end, or a signal ended it.
-        """
-        app = BenchApp(self._runner, self._resume_by, remember, self._hands)
-        try:
-            app.run(mouse=False)
-        finally:
-            self._runner.stop()
-            if not app.abandoned:
-                app.wait()
-        for message in app.state.messages:
-            print(f"  {message.text}", file=sys.stderr)  # noqa: T201
-        if app.abandoned or app.killed:
-            raise KeyboardInterrupt
-        if app.crash is not None:
-            name = type(app.crash).__name__
-            raise SessionError(
-                f"the screen failed ({name}: {app.crash}); go on with {self._resume_by} --plain"
-            ) from app.crash
-        if app.error is not None:
-            raise app.error
-        return app.state.finished is not None and app.state.finished.complete
+    app = BenchApp(runner, resume_by, remember, hands)
+    try:
+        app.run(mouse=False)
+    finally:
+        runner.stop()
+        if not app.abandoned:
+            app.wait()
+    for message in app.state.messages:
+        print(f"  {message.text}", file=sys.stderr)  # noqa: T201
+    if app.abandoned or app.killed:
+        raise KeyboardInterrupt
+    if app.crash is not None:
+        name = type(app.crash).__name__
+        raise SessionError(
+            f"the screen failed ({name}: {app.crash}); go on with {resume_by} --plain"
+        ) from app.crash
+    if app.error is not None:
+        raise app.error
+    return app.state.finished is not None and app.state.finished.complete
 
 
 def remember(state: BenchState) -> None:

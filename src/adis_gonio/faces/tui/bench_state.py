@@ -14,13 +14,15 @@ from adis_gonio.faces import bench_words as words
 from adis_gonio.faces.bench_words import Level, Question
 from adis_gonio.record.plans import Plan, Position
 
-MOST_MESSAGES = 100
 LEAST_SIZE = (80, 24)
 """Smallest terminal, in columns and rows, on which the screen works."""
 
 
 class Mark(Enum):
-    """State of a position in the list of positions, with a sign and a word, readable without colours."""
+    """State of a position in the list of positions, readable without colours.
+
+    The value is a sign of one character and a word of at most seven letters.
+    """
 
     OPEN = "·", "to do"
     NOW = "▶", "now"
@@ -28,16 +30,6 @@ class Mark(Enum):
     SKIPPED = "–", "skipped"
     FAULTY = "!", "fault"
     WITHDRAWN = "↶", "again"
-
-    @property
-    def sign(self) -> str:
-        """Sign of the state, one character."""
-        return self.value[0]
-
-    @property
-    def word(self) -> str:
-        """Word for the state, at most seven letters."""
-        return self.value[1]
 
 
 @dataclass(frozen=True)
@@ -67,8 +59,6 @@ class BenchState:
     ----------
     path, url, variant : str
         File, sensor and its variant; empty until the session is open.
-    resumed : bool
-        True if the session continues an earlier run.
     plan : Plan or None
         Plan of the session; None until it is open.
     marks : dict of int to Mark
@@ -127,7 +117,6 @@ class BenchState:
 
     def __init__(self) -> None:
         self.path = self.url = self.variant = ""
-        self.resumed = False
         self.plan: Plan | None = None
         self.marks: dict[int, Mark] = {}
         self.place: int | None = None
@@ -211,7 +200,7 @@ class BenchState:
 
     def say(self, text: str, level: Level = "said") -> None:
         """Add the message `text` to the list of messages; its level is `said` or `warned`."""
-        self.messages = [*self.messages, Message(text, level)][-MOST_MESSAGES:]
+        self.messages = [*self.messages, Message(text, level)][-100:]
 
     def take(self, event: events.Event) -> None:
         """Update the state and the messages by an event of the runner."""
@@ -228,7 +217,7 @@ class BenchState:
     @_take.register
     def _(self, event: events.Started) -> None:
         self.path, self.url, self.variant = event.path, event.url, event.variant
-        self.plan, self.resumed = event.plan, event.resumed
+        self.plan = event.plan
         self.doing = "setting up the sensor"
 
     @_take.register

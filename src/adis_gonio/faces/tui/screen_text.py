@@ -91,8 +91,8 @@ def plan_rows(state: BenchState, height: int) -> list[tuple[str, str]]:
     rows = []
     for place, position in enumerate(state.plan.positions):
         mark = state.mark(place)
-        name = _place_name(position)
-        rows.append((f"{mark.sign} {mark.word:<7} {name}", mark.name.lower()))
+        sign, word = mark.value
+        rows.append((f"{sign} {word:<7} {_place_name(position)}", mark.name.lower()))
     if len(rows) <= height:
         return rows
     room = max(1, height - 2)

@@ -41,9 +41,6 @@ LEAST_CYCLES = 3
 """Smallest number of cycles per turn of `stage_periodic`; one and two cycles are other effects."""
 _ROUNDING = 1e-9
 """Values of a sine or cosine below this count as zero: they are rounding errors."""
-_SAME_PHASE = 1e-6
-"""Largest distance from 1 of the modulus of a mean phase factor whose phases count as equal.
-It allows phases to scatter by 1.4 mrad, as by rounded angles."""
 
 
 def alike(cycles: int, others: int, angle_rad: Floats) -> bool:
@@ -62,7 +59,8 @@ def of_one_phase(cycles: NDArray[np.int_], angle_rad: Floats) -> NDArray[np.bool
     `cycles` (m,) are the numbers, `angle_rad` (n,) are the angles θ.
     """
     length = np.abs(np.exp(1j * cycles[:, None] * angle_rad).mean(axis=1))
-    return np.asarray(length > 1 - _SAME_PHASE)
+    # Phases that scatter by 1.4 mrad, as by rounded angles, count as equal.
+    return np.asarray(length > 1 - 1e-6)
 
 
 @dataclass(frozen=True)
