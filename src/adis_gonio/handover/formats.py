@@ -99,8 +99,7 @@ ENDINGS = {ending: one.name for one in FORMATS for ending in one.endings}
 
 def format_of(name: str) -> str:
     """Return the name of the export format for the ending of a file name, else raise `UsageError`."""
-    lower = name.lower()
-    for ending in sorted(ENDINGS, key=len, reverse=True):
-        if lower.endswith(ending):
-            return ENDINGS[ending]
+    for ending, kind in ENDINGS.items():
+        if name.lower().endswith(ending):
+            return kind
     raise UsageError(f"{name}: no format has this ending; use {', '.join(ENDINGS)}, or --format")

@@ -95,8 +95,6 @@ class GyroKnowledge:
     zero_dps, scale, g_dps_per_g : float
         Standard uncertainty of the zero rate, the relative gain, and the sensitivity to acceleration along
         each axis of the plane.
-    walk_dps_per_rt_s : float
-        Random walk of the zero rate, in °/s/√s.
     calibration : GyroCorrection or None
         Calibration that corrects the rates before they are used; None for uncalibrated gyros.
     """
@@ -104,7 +102,6 @@ class GyroKnowledge:
     zero_dps: float = ZERO_DPS
     scale: float = GAIN_U
     g_dps_per_g: float = G_DPS_PER_G
-    walk_dps_per_rt_s: float = WALK_DPS_PER_RT_S
     calibration: GyroCorrection | None = None
 
     @classmethod
@@ -168,8 +165,6 @@ class Sensing:
         Largest rate that the gyros measure; None if unknown: then no saturation is detected.
     drift_mg : float
         Smallest Allan deviation of the accelerometers, which sets their 1/f noise; 0 if unknown.
-    gravity_mg : float
-        Local gravity.
     """
 
     period_s: float
@@ -178,7 +173,6 @@ class Sensing:
     filter_m: int = 0
     gyro_range_dps: float | None = None
     drift_mg: float = 0.0
-    gravity_mg: float = 1000.0
 
     @property
     def step_samples(self) -> int:
@@ -337,7 +331,6 @@ SHOCK = 16.0
 shock. Gaussian noise exceeds it once in nine million steps. A shock raises only the variance of this step.
 """
 STATIONARY = 0.97
-_MEDIAN = 2 * math.log(2)
 
 
 @dataclass(frozen=True)
@@ -383,7 +376,8 @@ def disturbance_of(level: Floats, at: int, sensor_mg2: float) -> Disturbance:
     rest = centred - place * ((place @ centred) / square)
     squares = rest.real**2 + rest.imag**2
     middle = len(squares) // 2
-    typical = max(float(np.partition(squares, middle)[middle]) / _MEDIAN, 0.5 * sensor_mg2)
+    # The median of a squared modulus is 2 ln 2 of a component's variance.
+    typical = max(float(np.partition(squares, middle)[middle]) / (2 * math.log(2)), 0.5 * sensor_mg2)
     # Shocks are left out of the autocovariances.
     calm = squares <= 2 * SHOCK * typical
     shock = 0.0 if calm[at] else 0.5 * float(squares[at])
@@ -683,7 +677,7 @@ class MotionModel:
             + turned.increment.unseen_deg2
             + turned.across_dps**2 * length_s * ACROSS_S
         )
-        process[ZERO, ZERO] = self._gyros.walk_dps_per_rt_s**2 * length_s
+        process[ZERO, ZERO] = WALK_DPS_PER_RT_S**2 * length_s
         process[SCALE, SCALE] = 2 * self._bend**2 * abs(math.radians(turned.turn_deg))
         process[NOW, NOW] = disturbance.drive_mg2
         # First-order processes of the 1/f noise.

@@ -27,16 +27,12 @@ if TYPE_CHECKING:
 GENERIC_WALK_DEG = 0.021
 """Standard deviation, in degrees, of the angle by integrated noise after one second, for gyros of unknown
 noise (ADIS16350 data sheet, B)."""
-LENGTH_K = 3.0
-"""Error of the length of gravity, in standard uncertainties, above which a calibration is rejected."""
 LENGTH_FLOOR = 1e-3
 """Standard uncertainty of the length of gravity, as a share of it, that is added to the calibration's:
 gravity differs from place to place, and biases change with temperature."""
 Z_ERROR = 0.05
 """Relative error of the reading of Z that is allowed if a calibration in the plane does not determine Z
 (ADIS16350 data sheet, B and D)."""
-_BEND_PER_U = 2.0
-"""Ratio of the largest slope of an angle error with two cycles per turn to its amplitude."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +111,7 @@ class SmoothedMeter:
     ) -> None:
         self._calibration = calibration
         self._period_s = sensing.period_s
-        self._drift_rad = sensing.drift_mg / sensing.gravity_mg
+        self._drift_rad = sensing.drift_mg / 1000  # gravity is 1000 mg
         gyro = None if calibration is None else calibration.gyro
         stated = {} if gyro is None else {one.name: one.u for one in gyro.parameters}
         self._smoother = AngleSmoother(
@@ -161,7 +157,7 @@ class SmoothedMeter:
         _, u_deg = corrected_angle(calibration, mean_mg, temperature_c)
         across = abs(z) * Z_ERROR if planar else 0.0
         allowed = math.hypot(math.radians(u_deg or 0.0), 3 * self._drift_rad, LENGTH_FLOOR, across)
-        self.off_deg = math.degrees(off) if off > LENGTH_K * allowed else 0.0
+        self.off_deg = math.degrees(off) if off > 3 * allowed else 0.0
 
     def reading(self, end_s: float) -> Smoothed | None:
         """Return the smoothed angle at one lag before `end_s`, the time of the last sample.
@@ -235,4 +231,5 @@ def _bend_of(calibration: Calibration) -> float:
     unit = np.stack([np.cos(psi), np.sin(psi), np.zeros(8)], axis=1)[:, : calibration.axes]
     u_deg = calibration.angle(calibration.readings_of(unit), plane="xy").u_deg
     u_deg = u_deg[np.isfinite(u_deg)]
-    return _BEND_PER_U * math.radians(float(u_deg.max())) if u_deg.size else BEND
+    # An error with two cycles per turn has a largest slope of twice its amplitude.
+    return 2 * math.radians(float(u_deg.max())) if u_deg.size else BEND

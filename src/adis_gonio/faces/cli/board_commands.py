@@ -15,7 +15,7 @@ from adis_gonio.faces.cli.show import console, print_json, print_table, report_w
 from adis_gonio.faces.cli.terminal import on_terminal
 
 if TYPE_CHECKING:
-    from adis_gonio.bench.bringup import Bringup, StepResult
+    from adis_gonio.bench.bringup import StepResult
     from adis_gonio.bench.writeback import OffsetWriter, WritePlan
 
 
@@ -84,7 +84,13 @@ def bringup_command(
     with open_bus(url) as bus:
         found = bring_up(bus, variant=part, permission=permission, tell=tell)
     if files:
-        _write_report(found, *files)
+        from adis_gonio.base.output import write_text
+        from adis_gonio.bench.bringup.bringup_page import build_page
+
+        page, document = files
+        for path, text in ((document, json_text(found.as_dict())), (page, build_page(found))):
+            write_text(path, text)
+            report_written(path)
     if as_json:
         print_json(found.as_dict())
     else:
@@ -115,15 +121,6 @@ def _judge(recordings: tuple[Path, ...], variant: str, *, as_json: bool) -> int:
     else:
         click.echo(findings_text(findings))
     return 0
-
-
-def _write_report(found: Bringup, page: Path, document: Path) -> None:
-    from adis_gonio.base.output import write_text
-    from adis_gonio.bench.bringup.bringup_page import build_page
-
-    for path, text in ((document, json_text(found.as_dict())), (page, build_page(found))):
-        write_text(path, text)
-        report_written(path)
 
 
 @option.command("write", "--dry-run --save --undo")

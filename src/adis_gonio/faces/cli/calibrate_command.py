@@ -142,9 +142,9 @@ def calibrate_command(
     measures them until the model is adequate or no position is expected to show more.
     """
     from adis_gonio.bench.advisor import MOST_EXTRA, TraceAdvisor
-    from adis_gonio.record.archive import set_aside
+    from adis_gonio.record.archive import ArchiveView, set_aside
     from adis_gonio.record.loading import load_session
-    from adis_gonio.record.plans import GYRO_TURNS
+    from adis_gonio.record.plans import GYRO_TURNS, extension
     from adis_gonio.record.source import refuse_chip_options
 
     option.check_session_name(output)
@@ -160,9 +160,12 @@ def calibrate_command(
         url, _given_flags("rate_hz", "filter_m", "range_dps", "poll", "variant", "no_check")
     )
     advisor = TraceAdvisor(MOST_EXTRA if max_extra is None else max_extra) if closing else None
-    if resume and not closing and _is_complete(output):
+    complete = on_screen = False
+    if resume and not closing:
+        with ArchiveView(output) as view:
+            complete = not view.pending() and extension(view.plan(), len(view.dwells())) is None
+    if complete:
         click.echo(f"{output}: complete, nothing is left to do", err=True)
-        complete, on_screen = True, False
     else:
         complete, on_screen = _run(url, output, plain=plain, resume=resume, advisor=advisor, **options)
     session = load_session(output)
@@ -292,16 +295,6 @@ def _trace(session: Session, advisor: TraceAdvisor) -> TraceResult | None:
     except FitError as error:
         click.echo(f"not traced: {error}", err=True)
         return None
-
-
-def _is_complete(path: Path) -> bool:
-    """Return True if all positions of a session are done and no extension of the plan can be offered."""
-    from adis_gonio.record.archive import ArchiveView
-    from adis_gonio.record.plans import extension
-
-    with ArchiveView(path) as view:
-        done = not view.pending()
-        return done and extension(view.plan(), len(view.dwells())) is None
 
 
 def _given_flags(*names: str) -> dict[str, bool]:

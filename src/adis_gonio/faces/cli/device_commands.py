@@ -278,13 +278,6 @@ def _parse_number(sensor: Adis16354, row: Register, text: str) -> int:
     return round((float(number) - zero) / lsb)
 
 
-def _tell_mark(rows: list[tuple[Register, Any]]) -> None:
-    for row, quantity in rows:
-        if row.name.startswith("ALM_MAG") and quantity is not None and quantity.number == MARK:
-            text = f"{row.name} holds the mark of an interrupted session, which has no effect"
-            click.echo(f"{text}; the next calibrate or flash update removes it", err=True)
-
-
 def _show_registers(
     rows: list[tuple[Register, Any]], wanted: Mapping[str, OffsetWord], *, fields: bool, as_json: bool
 ) -> None:
@@ -294,7 +287,10 @@ def _show_registers(
     `wanted` has the offsets of a calibration by register name; `fields` also shows the bit fields.
     `as_json` prints a JSON document instead of a table.
     """
-    _tell_mark(rows)
+    for row, quantity in rows:
+        if row.name.startswith("ALM_MAG") and quantity is not None and quantity.number == MARK:
+            text = f"{row.name} holds the mark of an interrupted session, which has no effect"
+            click.echo(f"{text}; the next calibrate or flash update removes it", err=True)
     if as_json:
         documents = []
         for row, quantity in rows:

@@ -230,21 +230,18 @@ class BenchState:
 
     @_take.register
     def _(self, event: events.PositionAsked) -> None:
-        self._ask(event, event.place)
+        self._ask(event)
         self.time_left_s = event.time_left_s
         self.target_deg = event.position.angle_deg
 
     @_take.register
-    def _(self, event: events.GuardRaised) -> None:
-        self._ask(event, event.place)
+    def _(self, event: events.GuardRaised | events.ExtensionOffered) -> None:
+        self._ask(event)
 
-    @_take.register
-    def _(self, event: events.ExtensionOffered) -> None:
-        self._ask(event, None)
-
-    def _ask(self, question: Question, place: int | None) -> None:
+    def _ask(self, question: Question) -> None:
         self._go_on()
-        self.question, self.place = question, place
+        self.question = question
+        self.place = None if isinstance(question, events.ExtensionOffered) else question.place
         self.doing, self.waits_for = "waiting for you", "your answer"
 
     @_take.register
