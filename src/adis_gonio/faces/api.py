@@ -77,7 +77,17 @@ def fit(
         if accelerometers is not None:
             raise UsageError("a calibration of the accelerometers needs part='gyro'")
         given = _load(session, "fit")
-        return _fit(given, method=method, gyros=_load_gyros(given, gyros))
+        if isinstance(gyros, str | PathLike):
+            from adis_gonio.record.provenance import provenance_of
+            from adis_gonio.tracing.trace_calibrations import load_gyro_calibration
+
+            if given.source and Path(gyros).resolve() == Path(given.source).resolve():
+                raise UsageError(
+                    f"{gyros}: its gyros would be calibrated by the turns that they explain; give another"
+                    " session"
+                )
+            gyros = load_gyro_calibration(Path(gyros), provenance_of(given))
+        return _fit(given, method=method, gyros=gyros)
     if gyros is not None:
         raise UsageError("a calibration of gyros is for a fit of the accelerometers, not for part='gyro'")
     if method not in (None, GYRO_METHOD):
@@ -124,26 +134,6 @@ def trace(
 
     loaded = _load(session, "trace")
     return trace_session(loaded, max_effects, time_limit, part, include, exclude, only)
-
-
-def _load_gyros(
-    session: Session, given: GyroCalibration | str | PathLike[str] | None
-) -> GyroCalibration | None:
-    """Return a gyro calibration, read from its file if a path is given; None if None is given.
-
-    `session` is the session that uses the calibration. The file of this session raises `UsageError`,
-    because the calibration has to come from another session.
-    """
-    if not isinstance(given, str | PathLike):
-        return given
-    from adis_gonio.record.provenance import provenance_of
-    from adis_gonio.tracing.trace_calibrations import load_gyro_calibration
-
-    if session.source and Path(given).resolve() == Path(session.source).resolve():
-        raise UsageError(
-            f"{given}: its gyros would be calibrated by the turns that they explain; give another session"
-        )
-    return load_gyro_calibration(Path(given), provenance_of(session))
 
 
 def _load(given: Any, what: str) -> Session:

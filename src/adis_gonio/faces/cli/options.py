@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import fields
 from functools import reduce, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -25,10 +26,6 @@ FILE = click.Path(path_type=Path)
 POSITIVE = click.FloatRange(min=0, min_open=True)
 UNITS = f"[{'|'.join(ACCEL_UNITS)}]"
 """Text that lists the units of acceleration, for the help of a command."""
-_OVERRIDDEN = (
-    *("gravity_mps2", "fixture_sigma_deg", "angles", "reverse", "accel_unit", "sensor", "columns"),
-    *("laboratory", "customer"),
-)
 _SHARED_SECTIONS = {
     "Measuring": "--dwell --settle --rate --filter --range --poll",
     "Sensor": "--sensor --no-check --sensor-part",
@@ -416,7 +413,8 @@ def overrides(function: Callable[..., Any]) -> Callable[..., Any]:
     def with_overrides(**arguments: Any) -> Any:
         from adis_gonio.record.loading import Overrides
 
-        taken = {name: arguments.pop(name) for name in _OVERRIDDEN}
+        # The options have the names of the fields, except for the stage's curve, which --fixture gives.
+        taken = {one.name: arguments.pop(one.name) for one in fields(Overrides) if one.name in arguments}
         taken["columns"] = taken["columns"] or {}
         taken["angles"] = taken["angles"] or ()
         given = taken.pop("fixture_sigma_deg")

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from adis_gonio.base.conformity import Tolerance
     from adis_gonio.base.uncertainty import Detectable
     from adis_gonio.plan.optimal_plan import BestPlan
-    from adis_gonio.plan.prediction import Bench, Prediction
+    from adis_gonio.plan.prediction import Bench
     from adis_gonio.record.plans import Plan
     from adis_gonio.record.source import Settings
     from adis_gonio.sim import World
@@ -93,7 +93,9 @@ def plan_command(
 
     calibrate, simulate and template take the plan file of -o as --plan FILE.
     """
+    from adis_gonio.plan import find_plan
     from adis_gonio.plan.optimal_plan import prediction_lines
+    from adis_gonio.plan.prediction import predict
     from adis_gonio.record.plans import document_of, write_plan
 
     if output is not None and not ends_in(output, ".json"):
@@ -101,7 +103,12 @@ def plan_command(
     bench = _bench(**options)
     found: BestPlan | None = None
     if options["plan_name"] is not None:
-        prediction = _predict_given(bench, **options)
+        search = {name: options[name] for name in ("minutes", "best", "beware")}
+        wrong = [f"--{name}" for name, value in search.items() if value not in (None, "")]
+        if wrong:
+            raise UsageError(f"--plan evaluates a plan as it is: leave {', '.join(wrong)} out")
+        plan = find_plan(options["plan_name"], options["positions"], options["check"])
+        prediction = predict(plan, bench)
     else:
         with report_progress("searching for the best plan"):
             found = _search(bench, tolerance, **options)
@@ -131,17 +138,6 @@ def _bench(*, gravity_mps2: float | None, **options: Any) -> Bench:
         gravity_mps2=STANDARD_GRAVITY_MPS2 if gravity_mps2 is None else gravity_mps2,
         settings=option.measuring_settings(**{name: options[name] for name in measuring}),
     )
-
-
-def _predict_given(bench: Bench, **options: Any) -> Prediction:
-    from adis_gonio.plan import find_plan
-    from adis_gonio.plan.prediction import predict
-
-    search = {"--minutes": options["minutes"], "--best": options["best"], "--beware": options["beware"]}
-    wrong = [flag for flag, value in search.items() if value not in (None, "")]
-    if wrong:
-        raise UsageError(f"--plan evaluates a plan as it is: leave {', '.join(wrong)} out")
-    return predict(find_plan(options["plan_name"], options["positions"], options["check"]), bench)
 
 
 def _search(

@@ -15,6 +15,8 @@ from typing import Any, Literal
 import click
 from rich.cells import cell_len
 from rich.console import Console
+from rich.padding import Padding
+from rich.text import Text
 
 from adis_gonio.base.jsonable import json_text
 from adis_gonio.base.numbers import format_duration
@@ -52,9 +54,6 @@ def print_indented(screen: Console, text: str, indent: int = 2, style: str = "")
 
     `style` is a style of rich, such as `bold yellow`.
     """
-    from rich.padding import Padding
-    from rich.text import Text
-
     screen.print(Padding(Text(text, style=style), (0, 0, 0, indent)), width=min(screen.width, WIDTH))
 
 
@@ -103,9 +102,7 @@ def print_table(
     indent : int
         Number of columns of the screen to the left of the table.
     """
-    from rich.padding import Padding
     from rich.table import Table
-    from rich.text import Text
 
     shown = [k for k in range(len(head)) if any(row[k] not in ("", "–") for row in rows)]
     least: dict[int, int] = {}

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from rich.table import Table
+from rich.text import Text
 
 from adis_gonio.base.errors import AdisGonioError, UsageError
 from adis_gonio.base.numbers import counted, format_percent
@@ -14,7 +16,6 @@ from adis_gonio.faces.cli import options as option, show
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.text import Text
 
     from adis_gonio.base.conformity import Tolerance
     from adis_gonio.model.records import Session
@@ -102,7 +103,11 @@ def print_trace(sessions: Sequence[Session], result: TraceResult) -> None:
     screen.print(summary.headline(result), style="bold")
     screen.print(summary.gains(result))
     _print_found(screen, result)
-    _print_errors(screen, result)
+    _print_heading(screen, "Error before and after")
+    _print_models(screen, summary.error_rows(result))
+    if result.heldout_design:
+        alone = "; `fit` leaves out one dwell at a time" if "whole dwells" in result.heldout_design else ""
+        show.print_indented(screen, f"left out: {result.heldout_design}{alone}", 3, "dim")
     _print_list(screen, "What this session cannot distinguish", summary.confounded(result))
     _print_list(screen, "Unnamed cause", [summary.unnamed(result)] if result.unnamed else [])
     if isinstance(result, JointResult):
@@ -133,8 +138,6 @@ def _print_list(screen: Console, heading: str, items: Sequence[str], numbered: b
 
     `numbered` puts numbers before the items instead of dots.
     """
-    from rich.table import Table
-
     if not items:
         return
     _print_heading(screen, heading)
@@ -142,13 +145,11 @@ def _print_list(screen: Console, heading: str, items: Sequence[str], numbered: b
     table.add_column(justify="right", width=3)
     table.add_column()
     for k, item in enumerate(items, 1):
-        table.add_row(f"{k}." if numbered else "·", _plain(item))
+        table.add_row(f"{k}." if numbered else "·", Text(item))
     screen.print(table)
 
 
 def _print_found(screen: Console, result: TraceResult) -> None:
-    from rich.table import Table
-
     from adis_gonio.tracing import trace_summary as summary
 
     if not result.found:
@@ -163,23 +164,11 @@ def _print_found(screen: Console, result: TraceResult) -> None:
         if finding.explains or finding not in summary.inside_only(result):
             explained = f"explains {format_percent(finding.explains)} of the excess residual"
         first, *more = summary.parameters(finding) or ["–"]
-        table.add_row(f"{k}.", _plain(summary.with_axes(finding), "bold"), _plain(first))
+        table.add_row(f"{k}.", Text(summary.with_axes(finding), style="bold"), Text(first))
         for line in (*more, explained, summary.how_sure(finding)):
-            table.add_row("", "", _plain(line))
-        table.add_row("", "", _plain(finding.cause, "dim"))
+            table.add_row("", "", Text(line))
+        table.add_row("", "", Text(finding.cause, style="dim"))
     screen.print(table)
-
-
-def _print_errors(screen: Console, result: TraceResult) -> None:
-    from rich.padding import Padding
-
-    from adis_gonio.tracing import trace_summary as summary
-
-    _print_heading(screen, "Error before and after")
-    _print_models(screen, summary.error_rows(result))
-    if result.heldout_design:
-        alone = "; `fit` leaves out one dwell at a time" if "whole dwells" in result.heldout_design else ""
-        screen.print(Padding(_plain(f"left out: {result.heldout_design}{alone}", "dim"), (0, 0, 0, 3)))
 
 
 def _print_models(screen: Console, cells: tuple[list[str], list[list[str]]]) -> None:
@@ -188,12 +177,6 @@ def _print_models(screen: Console, cells: tuple[list[str], list[list[str]]]) -> 
     head = [name if name.endswith("dof") else name.replace(" / ", "\n") for name in names]
     head = [first, *(name.replace("error of the angle", "angle") for name in head)]
     show.print_table(screen, head, rows, bold=[rows[-1][0]] if len(rows) > 1 else (), indent=3)
-
-
-def _plain(text: str, style: str = "") -> Text:
-    from rich.text import Text
-
-    return Text(text, style=style)
 
 
 # -- the closed loop of `calibrate --trace` ----------------------------------------------------------

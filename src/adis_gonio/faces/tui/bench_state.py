@@ -267,7 +267,12 @@ class BenchState:
         self.span = Span("dwell", event.elapsed_s, event.length_s)
 
     def _look(self, event: events.Watching | events.DwellProgress) -> None:
-        self.angle_deg = self._along(event.angle_deg)
+        self.angle_deg = event.angle_deg
+        if event.angle_deg is not None and self._turned_deg is not None:
+            # The live angle is known up to whole turns and moves by less than 180° from event to event;
+            # since the last dwell it counts on.
+            self._turned_deg += wrap_degrees(event.angle_deg - self._turned_deg)
+            self.angle_deg = self._turned_deg
         self.tolerance_deg = event.tolerance_deg if isinstance(event, events.Watching) else None
         self.target_deg = event.target_deg if event.target_deg is not None else self.target_deg
         self.waits_for = event.waits_for
@@ -279,17 +284,6 @@ class BenchState:
             return
         pairs = zip(event.spread_mg, event.limit_mg, strict=True)
         self.spread_mg, self.limit_mg = max(pairs, key=lambda pair: pair[0] / pair[1])
-
-    def _along(self, angle_deg: float | None) -> float | None:
-        """Convert a live angle, known up to whole turns, to an angle that counts on since the last dwell.
-
-        Successive angles must differ by less than 180°. The angle is returned unchanged if the turn since
-        the last dwell was not followed. The result is None if `angle_deg` is None.
-        """
-        if angle_deg is None or self._turned_deg is None:
-            return angle_deg
-        self._turned_deg += wrap_degrees(angle_deg - self._turned_deg)
-        return self._turned_deg
 
     def _go_on(self) -> None:
         self.question, self.span, self.paused, self.quiet = None, None, False, False

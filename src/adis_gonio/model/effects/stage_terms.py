@@ -331,8 +331,7 @@ class AxisTilt(Effect):
         unit, rho, along = self._parts(ideal)
         in_plane = unit * (-rho * np.sin(tilt) - along * np.cos(tilt))
         by_radian = np.hstack([in_plane, rho * np.cos(tilt) - along * np.sin(tilt)])
-        by_degree: Floats = np.deg2rad(by_radian[:, : ideal.shape[1], None])
-        return by_degree
+        return np.asarray(np.deg2rad(by_radian[:, : ideal.shape[1], None]))
 
 
 @dataclass(frozen=True)
