@@ -2,7 +2,7 @@
 
     python scripts/speed_ratios.py                          # all, a table
     python scripts/speed_ratios.py fit decode --fast        # only these, few runs
-    python scripts/speed_ratios.py segment --samples 1e8    # 10⁸ samples through the segmentation
+    python scripts/speed_ratios.py segment --samples 2e7    # 2·10⁷ samples through the segmentation
 
 A ratio is the baseline's time over ours, median and quartiles of interleaved runs: above 1 we are faster.
 Before anything is timed both sides give their answers, and what does not agree is an error. The baselines

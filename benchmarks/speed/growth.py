@@ -8,7 +8,6 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from adis_gonio.fitting import fit_readings
-from adis_gonio.record.segmentation import Piece, segment_pieces
+from adis_gonio.record.segmentation import segment_with_notes
 from speed.fits import planar, spatial
 from speed.timing import Row, quartiles, require
 
@@ -26,6 +25,8 @@ LINEAR = 1.15
 RATE_HZ = 819.2
 REST_S, MOVE_S = 50.0, 2.0
 PIECE = 100_000
+BYTES = 56
+"""A sample: a time, three accelerations and three rates."""
 FEW = 1_000_000
 """Samples that already fill every buffer."""
 MEMORY = 1.1
@@ -57,19 +58,20 @@ def fitting(rng: np.random.Generator, *, fast: bool) -> list[Row]:
     return rows
 
 
-def recording(samples: int) -> Iterator[Piece]:
-    """A turn in rests of 50 s, 2 s of motion between them, three accelerations and three rates."""
+def recording(samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A turn in rests of 50 s, 2 s of motion between them: times, three accelerations and three rates."""
     rng = np.random.default_rng(1)
+    t, accel, gyro = np.arange(samples) / RATE_HZ, np.empty((samples, 3)), np.empty((samples, 3))
     for first in range(0, samples, PIECE):
-        t = np.arange(first, min(first + PIECE, samples)) / RATE_HZ
-        place, into = np.divmod(t, REST_S + MOVE_S)
+        part = slice(first, first + PIECE)
+        place, into = np.divmod(t[part], REST_S + MOVE_S)
         moving = into > REST_S
         angle = 0.3 * (place + np.clip((into - REST_S) / MOVE_S, 0, 1))
-        accel = 1000 * np.stack([np.cos(angle), np.sin(angle), np.full(len(t), 0.1)], axis=1)
-        accel += rng.standard_normal((len(t), 3)) * 2.0
-        gyro = rng.standard_normal((len(t), 3)) * 0.3
-        gyro[:, 2] += moving * math.degrees(0.3 / MOVE_S)
-        yield Piece(t, accel, gyro)
+        turned = np.stack([np.cos(angle), np.sin(angle), np.full(len(angle), 0.1)], axis=1)
+        accel[part] = 1000 * turned + rng.standard_normal((len(angle), 3)) * 2.0
+        gyro[part] = rng.standard_normal((len(angle), 3)) * 0.3
+        gyro[part, 2] += moving * math.degrees(0.3 / MOVE_S)
+    return t, accel, gyro
 
 
 def peak_mb() -> float:
@@ -82,8 +84,9 @@ def peak_mb() -> float:
 
 def segment_here(samples: int) -> dict[str, float]:
     """Dwells, processor time and peak memory of one recording, in this process."""
+    whole = recording(samples)
     before, began = peak_mb(), time.process_time()
-    slices, _ = segment_pieces(lambda: recording(samples))
+    slices, _ = segment_with_notes(*whole)
     spent = time.process_time() - began
     return {
         "dwells": len(slices),
@@ -95,16 +98,17 @@ def segment_here(samples: int) -> dict[str, float]:
 
 
 def segmenting(samples: int) -> list[Row]:
-    """Peak memory at `FEW` samples and at all of them, each in a process of its own."""
+    """Peak memory besides the samples, at `FEW` of them and at all, each in a process of its own."""
     few, many = (_child(f"segment_here({n})") for n in (FEW, samples))
     for found in (few, many):
         whole = int(found["samples"] / RATE_HZ // (REST_S + MOVE_S))
         require(whole <= found["dwells"] <= whole + 1, f"{found['dwells']} dwells, {whole} rests put in")
-    ratio = many["peak_mb"] / few["peak_mb"]
+    peaks = [found["peak_mb"] - found["samples"] * BYTES / 2**20 for found in (few, many)]
+    ratio = peaks[1] / peaks[0]
     exponent = math.log(many["s"] / few["s"]) / math.log(many["samples"] / few["samples"])
     constant = "constant" if ratio <= MEMORY else "NOT constant"
     note = (
-        f"peak memory (VmHWM) {ratio:.2f} times that of {FEW:.0e} samples: {constant}; "
+        f"peak memory (VmHWM) besides the samples {ratio:.2f} times that of {FEW:.0e} samples: {constant}; "
         f"time grows as n^{exponent:.2f}"
     )
     found = {"samples": samples, "memory_ratio": ratio, "exponent": exponent, "dwells": many["dwells"]}

@@ -5,15 +5,12 @@ from __future__ import annotations
 import speed_ratios
 from results.section import Effort, Section
 
-SAMPLES = 10**8
-"""Samples of the full run through the segmentation: about five minutes."""
-
 
 def run(effort: Effort) -> Section:
     """Measure all benchmarks with an installed baseline; `missing` lists the others."""
     names = [name for name in speed_ratios.BENCHMARKS if not speed_ratios.absent([name])]
     missing = speed_ratios.absent(list(speed_ratios.BENCHMARKS))
-    samples = speed_ratios.SAMPLES_FAST if effort.fast else SAMPLES
+    samples = speed_ratios.SAMPLES_FAST if effort.fast else speed_ratios.SAMPLES
     rows = speed_ratios.measure(names, effort.seed, fast=effort.fast, samples=samples)
     machine = speed_ratios.machine()
     document = {"machine": machine, "missing": missing, "rows": [row.as_dict() for row in rows]}
