@@ -190,7 +190,7 @@ def run(sensor: Adis16354, path: Path, resume: bool = False) -> list:
         elif type(event).__name__ == "ExtensionOffered":
             made.decline()
         elif type(event).__name__ == "GuardRaised":  # nothing turns this board's part
-            made.keep()
+            made.answer("keep")
     return events
 
 
