@@ -148,7 +148,7 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
         model = (*model, chosen)
         each.append(share)
     rest = [tuple(one for one in model if one is not chosen) for chosen in model]
-    each = attempt("what cannot be told apart", lambda: [_shares(problem, one) for one in rest], each)
+    each = attempt("confounded effects", lambda: [_shares(problem, one) for one in rest], each)
     # The names that may be in the place of each effect, the effect first.
     rivals = [
         (one.effect.name, *(k.effect.name for k in share if k != one and share[k] > 1 - limits.set_level))
