@@ -37,6 +37,16 @@ def rotation_matrices(vector_rad: Floats) -> Floats:
     return np.asarray(np.eye(3) + np.sinc(turns) * cross + np.sinc(turns / 2) ** 2 / 2 * (cross @ cross))
 
 
+def unit_directions(across: Floats) -> Floats:
+    """Return unit vectors (3, 3) as rows, row i nearest to axis i, from their components across that axis.
+
+    The diagonal of `across` (3, 3) is not used. A row that is too long for a unit vector has the component
+    0 along its axis.
+    """
+    off = across * (1 - np.eye(3))
+    return np.asarray(off + np.diag(np.sqrt(np.maximum(1 - (off**2).sum(axis=1), 0.0))))
+
+
 def mean_direction(angle_rad: Floats) -> float:
     """Return the circular mean of angles (n,) in rad: the direction of the sum of their unit vectors."""
     return float(np.angle(np.exp(1j * angle_rad).sum()))

@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, unit_directions
 from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.base.jsonable import json_object
 from adis_gonio.calibrate.calibration import (
@@ -408,9 +408,7 @@ def gyro_directions(misalignment_deg: Floats) -> Floats:
 
     `misalignment_deg` (3, 3) has the angle of each gyro (row) towards each other axis (column).
     """
-    sines = np.sin(np.radians(misalignment_deg)) * (1 - np.eye(3))
-    # Component along the own axis, so that each direction is a unit vector.
-    return np.asarray(sines + np.diag(np.sqrt(np.maximum(1 - (sines**2).sum(axis=1), 0.0))))
+    return unit_directions(np.sin(np.radians(misalignment_deg)))
 
 
 def sensitivity_of(v: ByKind) -> Floats:

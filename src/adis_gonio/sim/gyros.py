@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats, rotation_matrices
+from adis_gonio.base.arrays import Floats, rotation_matrices, unit_directions
 from adis_gonio.base.errors import UsageError
 from adis_gonio.device.sensor.registers import Performance
 from adis_gonio.model.effects.base import AXES, lagged
@@ -215,9 +215,7 @@ def _sensitivity(settings: WorldSettings) -> Floats:
     beside = (misalignment**2).sum(axis=1)
     if beside.max() >= 1:
         raise UsageError(f"gyro_misalignment_{AXES[int(beside.argmax())]}…: no axis is misaligned so much")
-    # The direction of each gyro is a unit vector.
-    own = np.sqrt(1 - beside)
-    sensitivity = gains[:, None] * (misalignment + np.diag(own))
+    sensitivity = gains[:, None] * unit_directions(misalignment)
     turned = np.radians([getattr(settings, f"gyro_triad_{axis}_deg") for axis in AXES])
     return np.asarray(sensitivity @ rotation_matrices(turned).T if turned.any() else sensitivity)
 

@@ -134,6 +134,8 @@ _OF_CONDITION = {
     "force_g": "force",
     "rate_dps": "rotation",
 }
+_SHOWN = {"force", "reading", "rotation", "supply", "temperature"}
+"""Covariates that each later reading shows, so that it can be corrected for a function of them."""
 
 
 class Enters(StrEnum):
@@ -337,7 +339,7 @@ class Effect(ABC):
     """Physical cause of the effect, in one sentence."""
     covariates: ClassVar[tuple[str, ...]]
     """Covariates of the effect in words of `COVARIATES`, the most important first; empty for a constant.
-    The default follows from `needs`; `catalogue` refuses an effect that declares neither."""
+    By default they follow from `needs`; `catalogue` refuses an effect that declares neither."""
     enters: ClassVar[Enters] = Enters.READING
     needs: ClassVar[tuple[str, ...]] = ()
     """Names of the fields of `Conditions` without which the effect cannot be computed."""
@@ -356,10 +358,11 @@ class Effect(ABC):
     """Advice to the operator if no further position separates the effect from others that look alike."""
     remedy_in_space: ClassVar[str] = ""
     """Advice that replaces `remedy` for free attitudes, if `remedy` needs a plane of rotation."""
-    correctable: ClassVar[bool] = False
-    """True if later readings can be corrected for the effect from the conditions of each reading."""
     not_corrected: ClassVar[str] = ""
     """Reason why later readings cannot be corrected for the effect; empty if none is stated."""
+    correctable: ClassVar[bool] = False
+    """True if later readings can be corrected for the effect from the conditions of each reading.
+    This is so if its covariates are all in `_SHOWN` and `not_corrected` states no reason against it."""
     shown_over: ClassVar[str] = ""
     """Covariate on the x axis of the effect's figure; empty for the first of `covariates`."""
     parts: ClassVar[tuple[str, ...]] = ("accelerometer",)
@@ -370,10 +373,14 @@ class Effect(ABC):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        if "name" in vars(cls) and not hasattr(cls, "covariates"):
-            needed = tuple(_OF_CONDITION[need] for need in cls.needs if need in _OF_CONDITION)
-            if needed:
-                cls.covariates = needed
+        if "name" not in vars(cls):
+            return
+        needed = tuple(_OF_CONDITION[need] for need in cls.needs if need in _OF_CONDITION)
+        if needed and "covariates" not in vars(cls):
+            cls.covariates = needed
+        known = set(getattr(cls, "covariates", ()))
+        shown = cls.enters is Enters.READING and not cls.within_dwell and bool(known)
+        cls.correctable = shown and known <= _SHOWN and not cls.not_corrected
 
     def __post_init__(self) -> None:
         unknown = [axis for axis in self.axes if axis not in AXES]
@@ -580,6 +587,8 @@ class CrossEffect(LinearEffect):
     each of x and y has the other as its partner; with z each axis has two partners. Names of parameters end
     in both letters, `name_ip`.
     """
+
+    covariates = ("reading",)
 
     def letters(self) -> tuple[str, ...]:
         """Return the pairs of letters, the axis and the other axis, in the order of the parameters."""

@@ -88,6 +88,7 @@ EXAMPLE = "write NAME_AXIS = FORMULA, such as 'mine_x = (T - 25)**2 * gx'"
 class FormulaEffect(LinearAxisEffect):
     """Base class of the effects that formulas define: amplitude times formula, for each axis."""
 
+    not_corrected = "is a formula of the user, which a calibration cannot name"
     formula: ClassVar[str]
     value: ClassVar[Column]
 

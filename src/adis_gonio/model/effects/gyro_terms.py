@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, unit_directions
 from adis_gonio.model.effects.base import (
     AXES,
     CYCLE,
@@ -49,7 +49,6 @@ class GyroBiasTemperature(BiasTemperature):
     name = "gyro_bias_temperature"
     cause = "The zero rate of a gyro moves with the temperature of its die."
     remedy = CYCLE
-    correctable = True
     parts = GYRO
     coefficients = (
         Parameter("gyro_bias_temperature", "dps/°C", -1.0, 1.0, 0.02),
@@ -80,7 +79,6 @@ class GSensitivity(LinearAxisEffect):
     name = "g_sensitivity"
     cause = "Acceleration bends the vibrating structure of a gyro, which reads it as a rate of turn."
     remedy = _OTHER_ORDER
-    correctable = True
     prior = "force"
     needs = ("force_g",)
     parts = GYRO
@@ -125,7 +123,6 @@ class G2Sensitivity(LinearAxisEffect):
         "The zero rate of a gyro moves with the square of a force, alike for both signs (rectification)."
     )
     remedy = "point two axes at once along gravity (±0.7 g), and repeat the first poses last"
-    correctable = True
     needs = ("force_g",)
     parts = GYRO
     options: ClassVar[dict[str, tuple[int, ...]]] = {"force": (0, 1, 2)}
@@ -154,7 +151,6 @@ class GyroScale(LinearAxisEffect):
     name = "gyro_scale"
     cause = "The sensitivity of a gyro differs from its nominal one."
     remedy = WHOLE_TURNS
-    correctable = True
     needs = ("rate_dps",)
     parts = GYRO
     coefficients = (Parameter("gyro_scale_error", "1", -0.2, 0.2, 0.01),)
@@ -176,7 +172,6 @@ class GyroScaleTemperature(LinearAxisEffect):
     name = "gyro_scale_temperature"
     cause = "The sensitivity of a gyro changes with the temperature of its die."
     remedy = "turn the part by whole turns at two temperatures, 10 °C apart"
-    correctable = True
     needs = ("rate_dps", "temperature_c")
     covariates = ("temperature",)
     parts = GYRO
@@ -203,7 +198,6 @@ class GyroMisalignment(AxisEffect):
     name = "gyro_misalignment"
     cause = "The axis of a gyro is misaligned towards another axis of the accelerometers by a small angle."
     remedy = WHOLE_TURNS
-    correctable = True
     needs = ("rate_dps",)
     parts = GYRO
     coefficients = (Parameter("gyro_misalignment", "deg", -10.0, 10.0, 0.5),)
@@ -216,31 +210,26 @@ class GyroMisalignment(AxisEffect):
         """Return both letters for each gyro and each of the other two axes, the gyro's letter first."""
         return tuple(AXES[i] + AXES[p] for i, p in self._pairs())
 
+    def _directions(self, values: Floats) -> Floats:
+        angles = np.zeros((3, 3))
+        angles[tuple(np.transpose(self._pairs()))] = np.deg2rad(values)
+        return unit_directions(np.sin(angles))
+
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Return the change of the gyro readings by the misalignments, (n, 3) in °/s."""
-        rate = conditions.covariate("rate_dps")
-        self.columns_of(ideal)
-        added = np.zeros(ideal.shape)
-        sines = np.sin(np.deg2rad(values))
-        squares = np.zeros(len(AXES))
-        for sine, (i, p) in zip(sines, self._pairs(), strict=True):
-            added[:, i] += sine * rate[:, p]
-            squares[i] += sine**2
+        rate, added = conditions.covariate("rate_dps"), np.zeros(ideal.shape)
+        off = self._directions(values) - np.eye(3)
         for i in self.columns_of(ideal):
-            added[:, i] -= (1 - np.sqrt(1 - squares[i])) * rate[:, i]
+            for p in range(3):
+                added[:, i] += off[i, p] * rate[:, p]
         return added
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Return the derivative of the gyro readings by the angles, (n, 3, p) in °/s per degree."""
-        rate = conditions.covariate("rate_dps")
-        design = np.zeros((*ideal.shape, len(values)))
-        sines, cosines = np.sin(np.deg2rad(values)), np.cos(np.deg2rad(values))
-        squares = np.zeros(len(AXES))
-        for sine, (i, _) in zip(sines, self._pairs(), strict=True):
-            squares[i] += sine**2
-        along = np.sqrt(1 - squares)
+        rate, axes = conditions.covariate("rate_dps"), self._directions(values)
+        design, cosines = np.zeros((*ideal.shape, len(values))), np.cos(np.deg2rad(values))
         for k, (i, p) in enumerate(self._pairs()):
-            slope = rate[:, p] - sines[k] / along[i] * rate[:, i]
+            slope = rate[:, p] - axes[i, p] / axes[i, i] * rate[:, i]
             design[:, i, k] = np.deg2rad(cosines[k] * slope)
         return design
 
@@ -297,7 +286,6 @@ class GyroWarmUp(WarmUp):
     cause = "The zero rate of a gyro settles while the part heats itself after power-on."
     remedy = "switch the sensor off, let it cool, and repeat a few poses after switching on"
     not_corrected = "follows the clock of the session; the zero rate applies to the warm part"
-    covariates = ("time",)
     parts = GYRO
     coefficients = (Parameter("gyro_warm_up", "dps", -10.0, 10.0, 0.2),)
 
@@ -314,8 +302,6 @@ class GyroSupply(SupplyBias):
     name = "gyro_supply"
     cause = "The zero rate of a gyro moves with the supply voltage."
     remedy = "change the supply by hand in one pose, such as from 4.8 to 5.2 V"
-    correctable = True
-    needs = ("supply_v",)
     parts = GYRO
     coefficients = (Parameter("gyro_supply", "dps/V", -10.0, 10.0, 0.25),)
 

@@ -74,7 +74,6 @@ class Scale(LinearAxisEffect):
     covariates = ("reading",)
     cause = "The sensitivity of an axis differs from its nominal one."
     remedy = "enter the local gravity by --gravity"
-    correctable = True
     in_base = True
     coefficients = (Parameter("scale", "1", -0.1, 0.1, 0.001),)
 
@@ -98,10 +97,8 @@ class Misalignment(CrossEffect):
     """
 
     name = "misalignment"
-    covariates = ("reading",)
     cause = "The sensitive direction of an axis is misaligned towards another axis by a small angle."
     remedy = "repeat the session in another plane"
-    correctable = True
     in_base = True
     coefficients = (Parameter("misalignment", "deg", -5.0, 5.0, 0.25),)
 
@@ -124,10 +121,8 @@ class CrossAxis(CrossEffect):
     """
 
     name = "cross_axis"
-    covariates = ("reading",)
     cause = "Acceleration across an axis deflects its proof mass and so changes its sensitivity (K_ip)."
     remedy = ONE_TURN
-    correctable = True
     shown_over = "angle"
     coefficients = (Parameter("kip", "mg/g²", -100.0, 100.0, 1.0),)
 
@@ -151,7 +146,6 @@ class Quadratic(LinearAxisEffect):
     cause = "The response of an axis is curved: the same change for +1 g and for −1 g (K2)."
     remedy = _OUT_OF_PLANE
     remedy_in_space = _OBLIQUE
-    correctable = True
     prior = "curvature"
     coefficients = (Parameter("k2", "mg/g²", -100.0, 100.0, 1.0),)
 
@@ -174,7 +168,6 @@ class Cubic(LinearAxisEffect):
     cause = "The sensitivity of an axis changes alike towards both ends of its range (K3)."
     remedy = "remount the part turned by 90° and repeat some angles"
     remedy_in_space = _OBLIQUE
-    correctable = True
     coefficients = (Parameter("k3", "mg/g³", -100.0, 100.0, 0.7),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
@@ -196,7 +189,6 @@ class Asymmetry(LinearAxisEffect):
     cause = "The gain of an axis differs between positive and negative acceleration."
     remedy = "add angles with readings of an axis near zero, five degrees apart"
     remedy_in_space = _OBLIQUE
-    correctable = True
     coefficients = (Parameter("asymmetry", "mg/g", -100.0, 100.0, 1.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
@@ -214,11 +206,9 @@ class CrossQuadratic(CrossEffect):
     """
 
     name = "cross_quadratic"
-    covariates = ("reading",)
     cause = "Acceleration across an axis shifts its bias by its square (K_pp)."
     remedy = _OUT_OF_PLANE
     remedy_in_space = _OBLIQUE
-    correctable = True
     shown_over = "angle"
     coefficients = (Parameter("kpp", "mg/g²", -100.0, 100.0, 1.0),)
 
@@ -274,7 +264,6 @@ class BiasTemperature(LinearAxisEffect):
     name = "bias_temperature"
     cause = "The bias of an axis changes with the temperature of the die."
     remedy = CYCLE
-    correctable = True
     needs = ("temperature_c",)
     coefficients = (
         Parameter("tempco", "mg/°C", -20.0, 20.0, 0.5),
@@ -309,7 +298,6 @@ class ScaleTemperature(LinearAxisEffect):
     name = "scale_temperature"
     cause = "The sensitivity of an axis changes with the temperature of the die."
     remedy = CYCLE
-    correctable = True
     needs = ("temperature_c",)
     coefficients = (Parameter("scale_tempco", "ppm/°C", -2000.0, 2000.0, 40.0),)
 
@@ -334,7 +322,6 @@ class MisalignmentTemperature(CrossEffect):
     name = "misalignment_temperature"
     cause = "The misalignment of an axis changes with the temperature of the die."
     remedy = CYCLE
-    correctable = True
     needs = ("temperature_c",)
     one_axis = True
     coefficients = (Parameter("misalignment_tempco", "deg/°C", -0.1, 0.1, 0.002),)
@@ -384,7 +371,6 @@ class SupplyBias(LinearAxisEffect):
     name = "supply_bias"
     cause = "The bias of an axis changes with the supply voltage."
     remedy = "change the supply by hand at one position, such as from 4.8 to 5.2 V"
-    correctable = True
     needs = ("supply_v",)
     coefficients = (Parameter("supply", "mg/V", -500.0, 500.0, 5.0),)
 
@@ -405,7 +391,6 @@ class SupplyScale(LinearAxisEffect):
     name = "supply_scale"
     cause = "The sensitivity of an axis changes with the supply voltage."
     remedy = "change the supply by hand at +1 g and at −1 g, such as from 4.8 to 5.2 V"
-    correctable = True
     needs = ("supply_v",)
     coefficients = (Parameter("supply_scale", "ppm/V", -500000.0, 500000.0, 2000.0),)
 

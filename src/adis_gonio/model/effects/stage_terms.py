@@ -67,6 +67,8 @@ def of_one_phase(cycles: NDArray[np.int_], angle_rad: Floats) -> NDArray[np.bool
 class StageHarmonic(StageEffect):
     """Base class of angle errors of the stage with a whole number of cycles per turn."""
 
+    not_corrected = _STAGE
+    needs = ("angle_rad",)
     cycles: ClassVar[int]
 
     def basis(self, conditions: Conditions) -> tuple[Floats, ...]:
@@ -91,8 +93,6 @@ class StageEccentricity(StageHarmonic):
     name = "stage_eccentricity"
     cause = "The divided circle of the stage is not centred on its axis: one cycle a turn."
     remedy = ONE_TURN
-    not_corrected = _STAGE
-    needs = ("angle_rad",)
     cycles = 1
     parameters = (
         Parameter("ecc_sin", "deg", -2.0, 2.0, 0.01),
@@ -112,8 +112,6 @@ class StageEllipticity(StageHarmonic):
     name = "stage_ellipticity"
     cause = "The divided circle of the stage is oval, or its bearing is: two cycles a turn."
     remedy = "remount the part turned by 90° and repeat some angles"
-    not_corrected = _STAGE
-    needs = ("angle_rad",)
     cycles = 2
     parameters = (
         Parameter("ell_sin", "deg", -2.0, 2.0, 0.01),
@@ -147,8 +145,6 @@ class StagePeriodic(StageHarmonic):
     name = "stage_periodic"
     cause = "A worm, a gear or the division of the stage repeats its error a whole number of times a turn."
     remedy = BETWEEN
-    not_corrected = _STAGE
-    needs = ("angle_rad",)
     parameters = (
         Parameter("per_sin", "deg", -2.0, 2.0, 0.01),
         Parameter("per_cos", "deg", -2.0, 2.0, 0.01),
@@ -338,6 +334,7 @@ class AxisTilt(Effect):
 class SampleEffect(AxisEffect):
     """Base class of effects that change single samples, and thereby the readings."""
 
+    covariates = ("reading",)
     enters = Enters.SAMPLES
     within_dwell = True
 
@@ -369,7 +366,6 @@ class Saturation(SampleEffect):
     """
 
     name = "saturation"
-    covariates = ("reading",)
     cause = "The output stops at the end of the range."
     common = (Parameter("limit", "mg", 1.0, 20000.0, 1700.0, shape=True),)
     """The limit at which samples are clipped. The typical value is 1.7 g, the range of the ADIS16354; its
@@ -392,7 +388,6 @@ class Quantization(SampleEffect):
     """
 
     name = "quantization"
-    covariates = ("reading",)
     cause = "The converter gives whole steps; if noise is below a step the mean follows a staircase."
     common = (Parameter("lsb", "mg", 0.0, 100.0, 0.4672),)
     """The size of the converter's LSB; 0 leaves the samples unrounded."""
@@ -415,7 +410,6 @@ class Tone(SampleEffect):
     """
 
     name = "tone"
-    covariates = ("reading",)
     cause = "A machine or the mains shakes the table: a spectral line within the dwells."
     coefficients = (Parameter("tone", "mg", -2000.0, 2000.0, 5.0),)
     common = (
@@ -444,7 +438,6 @@ class NoiseChange(SampleEffect):
     """
 
     name = "noise_change"
-    covariates = ("reading",)
     cause = "From a moment on the samples scatter more: a loose contact, a machine, a supply."
     not_corrected = OF_DWELL
     coefficients = (Parameter("extra", "mg", 0.0, 1000.0, 5.0),)
