@@ -483,7 +483,7 @@ def virtual_serving(bench: Bench, draw: int) -> Iterator[None]:
         with asyncio.Runner(loop_factory=lambda: loop) as runner:
             runner.run(main)
 
-    async def listen(connected, host, port):
+    async def listen(connected, host, port, limit):
         loop.accept = connected
         kinds = rng.choice([*KINDS], size=rng.integers(1, 5), p=SHARES)
         bench.clients = [

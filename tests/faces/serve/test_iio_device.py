@@ -9,7 +9,7 @@ import pytest
 from adis_gonio.device.sensor import VARIANTS
 from adis_gonio.device.sensor.registers import REGISTERS
 from adis_gonio.device.sensor.settings import Configuration, low_pass_3db_hz, smpl_prd_for
-from adis_gonio.faces.serve.iio_device import ScanFormat, ScanQueue, SensorState, ServedDevice, filter_for
+from adis_gonio.faces.serve.iio_device import Buffer, ScanFormat, SensorState, ServedDevice, filter_for
 from adis_gonio.faces.serve.iiod_protocol import Errno, Refused
 
 
@@ -108,7 +108,7 @@ def test_samples_are_aligned_as_libiio_expects(mask, size, offsets):
     assert [dtype.fields[name][1] for name in dtype.names] == offsets
 
 
-@pytest.mark.parametrize("mask", ["1", "00000000", "00000200", "0000000000000001"])
+@pytest.mark.parametrize("mask", ["1", "00000000", "00000200", "0000000000000001", "0000001x"])
 def test_a_mask_that_does_not_fit_is_refused(mask):
     with pytest.raises(Refused) as refused:
         ScanFormat.of_mask(device_of(), mask)
@@ -123,13 +123,13 @@ def test_packed_scans_are_little_endian_numbers():
 
 
 def test_a_full_queue_loses_its_oldest_and_counts_them():
-    queue, scans = ScanQueue(10), np.arange(100).astype([("n", "<i4")])
-    taken = []
+    buffer = Buffer(ScanFormat.of_mask(device_of(), "00000001"), 10)
+    numbers, taken = np.repeat(np.arange(100, dtype=np.int32)[:, np.newaxis], 8, axis=1), []
     for k in range(0, 60, 6):
-        queue.put(scans[k : k + 6])
+        buffer.put(numbers[k : k + 6], np.zeros(6, np.int64))
         if k == 24:
-            taken += np.frombuffer(queue.take(4), "<i4").tolist()
-    taken += np.frombuffer(queue.take(1000), "<i4").tolist()
-    assert len(queue) == 0
+            taken += np.frombuffer(buffer.take(4), "<i2").tolist()
+    taken += np.frombuffer(buffer.take(1000), "<i2").tolist()
+    assert len(buffer) == 0
     assert taken == [20, 21, 22, 23, *range(50, 60)]
-    assert queue.lost == 60 - len(taken)
+    assert buffer.lost == 60 - len(taken)

@@ -1,6 +1,6 @@
 """The sensor as an IIO device over the network protocol of libiio's iiod.
 
-`iiod_protocol` is the grammar of the requests, without I/O. `iio_device` has the channels, attributes and
+`iiod_protocol` reads requests and formats answers. `iio_device` has the channels, attributes and
 XML, and the only reader of the sensor, which distributes its scans. `iio_server` answers the clients.
 """
 

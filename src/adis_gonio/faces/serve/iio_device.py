@@ -17,12 +17,12 @@ import asyncio
 import contextlib
 import math
 import queue
+import re
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, TypeVar
 from xml.sax.saxutils import quoteattr
@@ -236,54 +236,6 @@ def state_of(sensor: Adis16354) -> SensorState:
     return SensorState(sensor.configuration(), offsets, words[-1])
 
 
-class ScanQueue:
-    """Bounded queue of scans (structured arrays) for a client; a full queue drops the oldest scans.
-
-    Parameters
-    ----------
-    capacity : int
-        Largest number of scans in the queue.
-
-    Attributes
-    ----------
-    lost : int
-        Number of dropped scans.
-    """
-
-    def __init__(self, capacity: int) -> None:
-        self._capacity = capacity
-        self._blocks: deque[NDArray[np.void]] = deque()
-        self._held = 0
-        self.lost = 0
-
-    def __len__(self) -> int:
-        return self._held
-
-    def put(self, scans: NDArray[np.void]) -> None:
-        """Append scans, and drop the oldest ones that have no room."""
-        self._blocks.append(scans)
-        self._held += len(scans)
-        dropped = max(0, self._held - self._capacity)
-        self._remove(dropped)
-        self.lost += dropped
-
-    def take(self, most: int) -> bytes:
-        """Remove the oldest scans from the queue, at most `most`, and return them as bytes."""
-        return b"".join(part.tobytes() for part in self._remove(min(most, self._held)))
-
-    def _remove(self, count: int) -> list[NDArray[np.void]]:
-        """Remove the oldest `count` scans and return them as a list of arrays (n,)."""
-        parts = []
-        self._held -= count
-        while count:
-            block = self._blocks.popleft()
-            parts.append(block[:count])
-            if len(block) > count:
-                self._blocks.appendleft(block[count:])
-            count -= len(parts[-1])
-        return parts
-
-
 QUEUE_S = 30.0
 """Length of a client's queue in s; all channels at full rate fill it with 0.6 MB."""
 
@@ -294,19 +246,48 @@ MOST_QUEUED = 1 << 18
 """Largest number of scans in a client's queue, even if the client asks for more."""
 
 
-@dataclass(eq=False)
 class Buffer:
-    """An open buffer of a client: the format of its scans, and the queue of scans that wait for it.
+    """An open buffer of a client: the format of its scans, and a bounded queue of scans that wait for it.
+
+    A full queue drops the oldest scans.
+
+    Parameters
+    ----------
+    capacity : int
+        Largest number of scans in the queue.
 
     Attributes
     ----------
+    lost : int
+        Number of dropped scans.
     news : asyncio.Event
         Set after new scans, or a failure of the sensor.
     """
 
-    format: ScanFormat
-    queue: ScanQueue
-    news: asyncio.Event = field(default_factory=asyncio.Event)
+    def __init__(self, scan_format: ScanFormat, capacity: int) -> None:
+        self.format = scan_format
+        self.lost = 0
+        self.news = asyncio.Event()
+        self._size = scan_format.dtype.itemsize
+        self._room = capacity * self._size
+        self._held = bytearray()
+
+    def __len__(self) -> int:
+        return len(self._held) // self._size
+
+    def put(self, numbers: NDArray[np.int32], time_ns: NDArray[np.int64]) -> None:
+        """Append scans in the format of the buffer, and drop the oldest ones that have no room."""
+        self._held += self.format.pack(numbers, time_ns).tobytes()
+        dropped = max(0, len(self._held) - self._room)
+        del self._held[:dropped]
+        self.lost += dropped // self._size
+        self.news.set()
+
+    def take(self, most: int) -> bytes:
+        """Remove the oldest scans from the queue, at most `most`, and return them as bytes."""
+        taken = bytes(self._held[: most * self._size])
+        del self._held[: len(taken)]
+        return taken
 
 
 class Hub:
@@ -338,7 +319,7 @@ class Hub:
         size of the queue.
         """
         capacity = min(MOST_QUEUED, max(CLIENT_BLOCKS * samples, round(self._queue_s * rate_hz), 16))
-        buffer = Buffer(scan_format, ScanQueue(capacity))
+        buffer = Buffer(scan_format, capacity)
         self._buffers.add(buffer)
         self._want(True)
         return buffer
@@ -352,8 +333,7 @@ class Hub:
     def publish(self, numbers: NDArray[np.int32], time_ns: NDArray[np.int64]) -> None:
         """Append new scans to the queue of every buffer, in the format of the buffer."""
         for buffer in self._buffers:
-            buffer.queue.put(buffer.format.pack(numbers, time_ns))
-            buffer.news.set()
+            buffer.put(numbers, time_ns)
 
     def fail(self, error: Exception) -> None:
         """Note that the sensor has failed, and wake all waiting clients."""
@@ -363,9 +343,6 @@ class Hub:
 
 
 DEVICE_ID = "iio:device0"
-MASK_DIGITS = 8
-"""Number of digits of a mask of up to 32 channels."""
-
 OFFSET_OF: dict[str, str] = dict(
     zip(
         (*register_table.ACCEL_OUT, *register_table.GYRO_OUT),
@@ -502,16 +479,17 @@ class ServedDevice:
         rows = (*register_table.registers(DEFAULT_SCAN), None)
         self.channels = tuple(Channel(k, row) for k, row in enumerate(rows))
 
-    def knows(self, device: str) -> bool:
-        """Return True if `device` is the id or name of this device."""
-        return device in (DEVICE_ID, self.part.name)
+    def require(self, device: str) -> None:
+        """Raise `Refused` if `device` is neither the id nor the name of this device."""
+        if device not in (DEVICE_ID, self.part.name):
+            raise Refused(Errno.ENODEV)
 
     def channel(self, name: str) -> Channel:
         """Return the channel with the id `name`; raise `Refused` if there is none."""
         for channel in self.channels:
             if name == channel.id:
                 return channel
-        raise Refused(Errno.ENXIO, f"no channel {name}")
+        raise Refused(Errno.ENXIO)
 
     # -- values of attributes ---------------------------------------------------------------------
 
@@ -583,7 +561,7 @@ def filter_for(frequency_hz: float, state: SensorState) -> int:
         The frequency is not above zero.
     """
     if not (math.isfinite(frequency_hz) and frequency_hz > 0):
-        raise Refused(Errno.EINVAL, f"{frequency_hz:g} Hz is no frequency")
+        raise Refused(Errno.EINVAL)
     return min(FILTERS, key=lambda m: abs(math.log(_filter_hz(m, state) / frequency_hz)))
 
 
@@ -614,11 +592,11 @@ class ScanFormat:
 
         `Refused` is raised for a mask of a wrong length, without a channel or with an unknown channel.
         """
-        if len(mask) != MASK_DIGITS:
-            raise Refused(Errno.EINVAL, f"a mask has {MASK_DIGITS} digits here")
+        if re.fullmatch("[0-9a-fA-F]{8}", mask) is None:  # libiio's form for up to 32 channels
+            raise Refused(Errno.EINVAL)
         bits = int(mask, 16)
         if not bits or bits >> len(device.channels):
-            raise Refused(Errno.EINVAL, "the mask names no channel, or one that does not exist")
+            raise Refused(Errno.EINVAL)
         return cls(tuple(c for c in device.channels if bits >> c.index & 1), mask)
 
     @cached_property

@@ -9,7 +9,7 @@ import signal
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -17,12 +17,21 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base import __version__
+from adis_gonio.base import __version__, numbers
 from adis_gonio.base.errors import AdisGonioError, CannotOpenError, UsageError
-from adis_gonio.base.numbers import counted
 from adis_gonio.device.sensor import Adis16354
-from adis_gonio.faces.serve import iio_device, iiod_protocol
-from adis_gonio.faces.serve.iiod_protocol import Errno, Parser, Refused, Request, Target
+from adis_gonio.faces.serve import iio_device
+from adis_gonio.faces.serve.iio_device import Channel
+from adis_gonio.faces.serve.iiod_protocol import (
+    LINE_LIMIT,
+    Errno,
+    Refused,
+    Request,
+    count,
+    counted,
+    error,
+    read_request,
+)
 
 T = TypeVar("T")
 
@@ -42,87 +51,6 @@ SEND_BUFFER = 1 << 15
 """Size in bytes of the system's send buffer: more than a second of all channels at full rate."""
 
 
-@dataclass(frozen=True)
-class AttributePort:
-    """Reads and writes attributes of the served device, if possible without interrupting the stream.
-
-    Attributes
-    ----------
-    allow_writes : bool
-        If False, every write is refused with EPERM.
-    """
-
-    device: iio_device.ServedDevice
-    sampler: iio_device.Sampler
-    allow_writes: bool
-
-    def names(self, target: Target) -> tuple[str, ...]:
-        """Return the names of the attributes of the device or channel `target`.
-
-        Raises `Refused` if it does not exist.
-        """
-        if not self.device.knows(target.device):
-            raise Refused(Errno.ENODEV, f"no device {target.device}")
-        if target.channel:
-            return self.device.channel(target.channel).attributes
-        return iio_device.DEVICE_ATTRIBUTES
-
-    async def read(self, target: Target, name: str) -> str:
-        """Read an attribute as text; raise `Refused` if there is none, or the sensor fails.
-
-        `name` is the name of the attribute, `target` its device or channel.
-        """
-        if name not in self.names(target):
-            raise Refused(Errno.ENOENT, f"no attribute {name}")
-        if not target.channel:
-            return self.device.device_value(name, self.sampler.state)
-        channel = self.device.channel(target.channel)
-        row = channel.register
-        if name == "raw" and row is not None:
-            newest = self.sampler.newest
-            if newest is not None:  # the sensor streams
-                return str(newest[row.name])
-            return str(await self._do(self.sampler.submit(lambda _: self.sampler.read_output(row))))
-        return self.device.channel_value(channel, name, self.sampler.state)
-
-    async def write(self, target: Target, name: str, value: bytes) -> None:
-        """Write an attribute; raise `Refused` if that is not allowed, or the value is not possible.
-
-        `name` is the name of the attribute, `target` its device or channel, `value` the text from the
-        client.
-        """
-        if name not in self.names(target):
-            raise Refused(Errno.ENOENT, f"no attribute {name}")
-        if name not in iio_device.WRITABLE:
-            raise Refused(Errno.EACCES, f"{name} cannot be written")
-        if not self.allow_writes:
-            raise Refused(Errno.EPERM, f"{name}: this server is read-only")
-        number = _number(value)
-        match name:
-            case "calibbias":
-                register = self.device.channel(target.channel).register
-                if register is None or not number.is_integer():
-                    raise Refused(Errno.EINVAL, f"calibbias is a whole number, not {number:g}")
-                offset = iio_device.OFFSET_OF[register.name]
-                await self._change(lambda s: s.write(offset, int(number)))
-            case "sampling_frequency":
-                await self._change(lambda s: s.configure(sample_rate_hz=number))
-            case _:
-                taps = iio_device.filter_for(number, self.sampler.state)
-                await self._change(lambda s: s.configure(filter_m=taps))
-
-    async def _change(self, job: Callable[[Adis16354], object]) -> None:
-        await self._do(self.sampler.submit(job, changes=True))
-
-    async def _do(self, future: Future[T]) -> T:
-        try:
-            return await asyncio.wrap_future(future)
-        except UsageError as error:
-            raise Refused(Errno.EINVAL, str(error)) from error
-        except AdisGonioError as error:
-            raise Refused(Errno.EIO, str(error)) from error
-
-
 def _number(value: bytes) -> float:
     """Parse the text of an attribute, which libiio sends with a terminating zero, as a number."""
     text = value.split(b"\0", 1)[0].strip()
@@ -131,7 +59,7 @@ def _number(value: bytes) -> float:
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        raise Refused(Errno.EINVAL, "the value is no number")
+        raise Refused(Errno.EINVAL)
     return number
 
 
@@ -141,7 +69,10 @@ MOST_PENDING = 32
 MOST_SENT = 1024
 """Largest number of scans in one piece of an answer."""
 
-VERSION = (0, 24, "gonio-1")
+NEVER = {"WRITEBUF": Errno.EPERM, "GETTRIG": Errno.ENOENT, "SETTRIG": Errno.ENOENT}
+"""Errors that answer requests of outputs and triggers, which a sensor does not have."""
+
+VERSION = b"0.24.gonio-1\n"
 """Version of libiio with this protocol, and a tag of seven letters that names this server."""
 
 
@@ -158,30 +89,24 @@ class ClientSession:
     """
 
     def __init__(
-        self,
-        reader: asyncio.StreamReader,
-        writer: asyncio.StreamWriter,
-        device: iio_device.ServedDevice,
-        port: AttributePort,
-        hub: iio_device.Hub,
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, server: IioServer
     ) -> None:
         self.sent = 0
         self._reader = reader
         self._writer = writer
-        self._device = device
-        self._port = port
-        self._hub = hub
+        self._device, self._sampler, self._hub = server.device, server.sampler, server.hub
+        self._allow_writes = server.settings.allow_writes
         self._buffer: iio_device.Buffer | None = None
         self._lost_before = 0
         self._timeout_s: float | None = None
         self._gone = False
         self._last_s = time.monotonic()
-        self._pending: asyncio.Queue[Request] = asyncio.Queue(MOST_PENDING)
+        self._pending: asyncio.Queue[Request | Errno] = asyncio.Queue(MOST_PENDING)
 
     @property
     def lost(self) -> int:
         """Number of scans that were lost because this client read too slowly."""
-        return self._lost_before + (self._buffer.queue.lost if self._buffer else 0)
+        return self._lost_before + (self._buffer.lost if self._buffer else 0)
 
     @property
     def idle_s(self) -> float:
@@ -213,81 +138,132 @@ class ClientSession:
 
     async def _listen(self) -> None:
         """Read requests into the queue until the connection ends."""
-        parser = Parser()
-        with contextlib.suppress(ConnectionError, TimeoutError):
-            while data := await self._reader.read(1 << 16):
+        with contextlib.suppress(ConnectionError, TimeoutError, asyncio.IncompleteReadError):
+            while True:
+                request = await read_request(self._reader)
                 self._last_s = time.monotonic()
-                for request in parser.feed(data):
-                    await self._pending.put(request)
+                await self._pending.put(request)
+                if request is Errno.E2BIG:
+                    return
         self._gone = True
         if self._buffer is not None:
             self._buffer.news.set()
-        await self._pending.put(iiod_protocol.Exit())
+        await self._pending.put(Request(("EXIT",)))
 
     async def _answer_all(self) -> None:
-        while not isinstance(request := await self._pending.get(), iiod_protocol.Exit):
+        while (request := await self._pending.get()) not in (Request(("EXIT",)), Request(("QUIT",))):
             try:
-                answer = await self._answer(request)
+                answer = error(request) if isinstance(request, Errno) else await self._answer(request)
             except Refused as refused:
-                answer = iiod_protocol.error(refused.errno)
+                answer = error(refused.errno)
             self._writer.write(answer)
             await self._writer.drain()
-            if isinstance(request, iiod_protocol.Malformed) and request.fatal:
+            if request is Errno.E2BIG:
                 return
 
     async def _answer(self, request: Request) -> bytes:
         """Carry out a request and return the answer; raise `Refused` to answer with an error number."""
-        match request:
-            case iiod_protocol.Version():
-                return iiod_protocol.version(*VERSION)
-            case iiod_protocol.Print():
-                return iiod_protocol.counted(self._device.xml(self._port.sampler.state).encode())
-            case iiod_protocol.Timeout():
-                self._timeout_s = request.milliseconds / 1000.0 or None
-                return iiod_protocol.integer(0)
-            case iiod_protocol.Malformed():
-                raise Refused(request.errno, request.why)
-            case iiod_protocol.ReadAttribute(target, name):
-                return iiod_protocol.counted((await self._port.read(target, name)).encode() + b"\0")
-            case iiod_protocol.WriteAttribute(target, name, value):
-                await self._port.write(target, name, value)
-                return iiod_protocol.integer(len(value))
-            case iiod_protocol.BufferRequest():
-                if not self._device.knows(request.device):
-                    raise Refused(Errno.ENODEV, f"no device {request.device}")
-                return await self._answer_buffer(request)
-            case _:
-                raise Refused(Errno.EINVAL)
-
-    async def _answer_buffer(self, request: Request) -> bytes:
-        match request:
-            case iiod_protocol.Open():
-                self._open(request)
-                return iiod_protocol.integer(0)
-            case iiod_protocol.Close():
-                self._require_buffer()
+        match request.words:
+            case ["VERSION"]:
+                return VERSION
+            case ["PRINT"]:
+                return counted(self._device.xml(self._sampler.state).encode())
+            case ["TIMEOUT", milliseconds]:
+                self._timeout_s = count(milliseconds) / 1000.0 or None
+            case ["READ", device, *attribute]:
+                return counted((await self._read(*self._attribute(device, attribute))).encode() + b"\0")
+            case ["WRITE", device, *attribute, size]:
+                await self._write(*self._attribute(device, attribute), request.value)
+                return f"{size}\n".encode()
+            case ["OPEN", device, samples, mask]:
+                self._device.require(device)
+                self._open(count(samples), mask)
+            case ["CLOSE", device]:
+                self._require_buffer(device)
                 self._close()
-                return iiod_protocol.integer(0)
-            case iiod_protocol.ReadBuffer():
-                return await self._send_scans(self._require_buffer(), request.size)
+            case ["READBUF", device, size]:
+                return await self._send_scans(self._require_buffer(device), count(size))
+            case [verb, *_]:
+                raise Refused(NEVER.get(verb, Errno.EINVAL))
+        return b"0\n"
+
+    # -- attributes -------------------------------------------------------------------------------
+
+    def _attribute(self, device: str, words: Sequence[str]) -> tuple[Channel | None, str]:
+        """Return channel and name of an attribute from the words of a request; None for the device's.
+
+        `device` is the id or name of the device. `Refused` is raised if there is no such attribute.
+        """
+        channel = None
+        match words:
+            case [kind, channel_id, name] if kind.upper() == "INPUT":
+                self._device.require(device)
+                channel = self._device.channel(channel_id)
+            case [name]:
+                self._device.require(device)
             case _:
                 raise Refused(Errno.EINVAL)
+        if name not in (iio_device.DEVICE_ATTRIBUTES if channel is None else channel.attributes):
+            raise Refused(Errno.ENOENT)
+        return channel, name
 
-    def _require_buffer(self) -> iio_device.Buffer:
+    async def _read(self, channel: Channel | None, name: str) -> str:
+        """Read an attribute as text, if possible without interrupting the stream.
+
+        `channel` is None for an attribute of the device. `Refused` is raised if the sensor fails.
+        """
+        sampler = self._sampler
+        if channel is None:
+            return self._device.device_value(name, sampler.state)
+        row = channel.register
+        if name != "raw" or row is None:
+            return self._device.channel_value(channel, name, sampler.state)
+        if sampler.newest is not None:  # the sensor streams
+            return str(sampler.newest[row.name])
+        return str(await _result(sampler.submit(lambda _: sampler.read_output(row))))
+
+    async def _write(self, channel: Channel | None, name: str, value: bytes) -> None:
+        """Write an attribute; raise `Refused` if that is not allowed, or the value is not possible.
+
+        `channel` is None for an attribute of the device; `value` is the text from the client.
+        """
+        if name not in iio_device.WRITABLE:
+            raise Refused(Errno.EACCES)
+        if not self._allow_writes:
+            raise Refused(Errno.EPERM)
+        number = _number(value)
+        if name == "sampling_frequency":
+            await self._change(lambda sensor: sensor.configure(sample_rate_hz=number))
+        elif name == "calibbias" and channel is not None and channel.register is not None:
+            if not number.is_integer():
+                raise Refused(Errno.EINVAL)
+            offset = iio_device.OFFSET_OF[channel.register.name]
+            await self._change(lambda sensor: sensor.write(offset, int(number)))
+        else:
+            taps = iio_device.filter_for(number, self._sampler.state)
+            await self._change(lambda sensor: sensor.configure(filter_m=taps))
+
+    async def _change(self, job: Callable[[Adis16354], object]) -> None:
+        await _result(self._sampler.submit(job, changes=True))
+
+    # -- scans ------------------------------------------------------------------------------------
+
+    def _require_buffer(self, device: str) -> iio_device.Buffer:
+        self._device.require(device)
         if self._buffer is None:
-            raise Refused(Errno.EBADF, "no buffer is open")
+            raise Refused(Errno.EBADF)
         return self._buffer
 
-    def _open(self, request: iiod_protocol.Open) -> None:
+    def _open(self, samples: int, mask: str) -> None:
         if self._buffer is not None:
-            raise Refused(Errno.EBUSY, "a buffer is open")
-        if not request.samples:
-            raise Refused(Errno.EINVAL, "a buffer has samples")
+            raise Refused(Errno.EBUSY)
+        if not samples:
+            raise Refused(Errno.EINVAL)
         if self._hub.failure is not None:
-            raise Refused(Errno.EIO, str(self._hub.failure))
-        scan_format = iio_device.ScanFormat.of_mask(self._device, request.mask)
-        rate_hz = self._port.sampler.state.configuration.sample_rate_hz
-        self._buffer = self._hub.open(scan_format, request.samples, rate_hz)
+            raise Refused(Errno.EIO)
+        scan_format = iio_device.ScanFormat.of_mask(self._device, mask)
+        rate_hz = self._sampler.state.configuration.sample_rate_hz
+        self._buffer = self._hub.open(scan_format, samples, rate_hz)
 
     def _close(self) -> None:
         if self._buffer is not None:
@@ -301,20 +277,18 @@ class ClientSession:
         Return the bytes that end the answer.
         """
         scan_size = buffer.format.dtype.itemsize
-        wanted, first = size // scan_size, True
+        wanted, mask = size // scan_size, f"{buffer.format.mask}\n".encode()
         while wanted:
-            if not len(buffer.queue):
+            if not len(buffer):
                 await self._news(buffer)
                 continue
-            scans = buffer.queue.take(min(wanted, MOST_SENT))
-            count = len(scans) // scan_size
-            mask = f"{buffer.format.mask}\n".encode() if first else b""
-            self._writer.write(iiod_protocol.integer(len(scans)) + mask + scans)
+            scans = buffer.take(min(wanted, MOST_SENT))
+            self._writer.write(b"%d\n%b%b" % (len(scans), mask, scans))
             await self._writer.drain()
-            wanted, first = wanted - count, False
-            self.sent += count
+            wanted, mask = wanted - len(scans) // scan_size, b""
+            self.sent += len(scans) // scan_size
         # A zero ends the answer if the remaining size is less than a scan.
-        return iiod_protocol.integer(0) if size % scan_size or not size else b""
+        return b"0\n" if size % scan_size or not size else b""
 
     async def _news(self, buffer: iio_device.Buffer) -> None:
         """Wait for new scans in the buffer; raise `Refused` if no scan comes.
@@ -322,14 +296,24 @@ class ClientSession:
         No scan comes after a failure of the sensor, or within the client's time-out.
         """
         if self._hub.failure is not None:
-            raise Refused(Errno.EIO, str(self._hub.failure))
+            raise Refused(Errno.EIO)
         if self._gone:
             raise ConnectionResetError
         buffer.news.clear()
         try:
             await asyncio.wait_for(buffer.news.wait(), self._timeout_s)
         except TimeoutError:
-            raise Refused(Errno.ETIMEDOUT, "no scan came in time") from None
+            raise Refused(Errno.ETIMEDOUT) from None
+
+
+async def _result(future: Future[T]) -> T:
+    """Wait for the result of a job of the sampler; raise `Refused` if the job failed."""
+    try:
+        return await asyncio.wrap_future(future)
+    except UsageError as reason:
+        raise Refused(Errno.EINVAL) from reason
+    except AdisGonioError as reason:
+        raise Refused(Errno.EIO) from reason
 
 
 @dataclass(frozen=True)
@@ -373,14 +357,13 @@ class IioServer:
         tell: Callable[[str], object] = lambda line: None,
         ready: Callable[[str, int], object] = lambda host, port: None,
     ) -> None:
-        self._settings = settings
+        self.settings = settings
         self._tell = tell
         self._ready = ready
         description = f"{sensor.variant.name.upper()} at {sensor.bus.url}, adis-gonio {__version__}"
-        self._device = iio_device.ServedDevice(sensor.variant, description)
-        self._sampler = iio_device.Sampler(sensor, self._scans_came, self._sensor_failed)
-        self._hub = iio_device.Hub(self._sampler.want, settings.queue_s)
-        self._port = AttributePort(self._device, self._sampler, settings.allow_writes)
+        self.device = iio_device.ServedDevice(sensor.variant, description)
+        self.sampler = iio_device.Sampler(sensor, self._scans_came, self._sensor_failed)
+        self.hub = iio_device.Hub(self.sampler.want, settings.queue_s)
         self._clients: dict[ClientSession, asyncio.Task[None]] = {}
         self._loop: asyncio.AbstractEventLoop | None = None
         self._end = asyncio.Event()
@@ -404,15 +387,15 @@ class IioServer:
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()
         self._loop.set_exception_handler(_report)
-        host, port = self._settings.host, self._settings.port
+        host, port = self.settings.host, self.settings.port
         try:
-            server = await asyncio.start_server(self._connected, host, port)
+            server = await asyncio.start_server(self._connected, host, port, limit=LINE_LIMIT)
         except OSError as error:
             raise CannotOpenError(
                 f"cannot listen on {host}, port {port} ({error.strerror or error}):"
                 " give another --iio PORT or --listen ADDRESS"
             ) from error
-        self._sampler.start()
+        self.sampler.start()
         try:
             with self._ended_by_signals():
                 place = server.sockets[0].getsockname()
@@ -424,9 +407,9 @@ class IioServer:
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
-            await asyncio.to_thread(self._sampler.stop)
-        if self._hub.failure is not None:
-            raise self._hub.failure
+            await asyncio.to_thread(self.sampler.stop)
+        if self.hub.failure is not None:
+            raise self.hub.failure
 
     @contextlib.contextmanager
     def _ended_by_signals(self) -> Iterator[None]:
@@ -458,7 +441,7 @@ class IioServer:
         endpoint = writer.get_extra_info("socket")
         endpoint.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         endpoint.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
-        client = ClientSession(reader, writer, self._device, self._port, self._hub)
+        client = ClientSession(reader, writer, self)
         self._clients[client] = task
         begin_s = time.monotonic()
         try:
@@ -470,17 +453,17 @@ class IioServer:
             if client.sent or client.lost:
                 self._tell(
                     f"{name}: left after {time.monotonic() - begin_s:.1f} s,"
-                    f" {counted(client.sent, 'scan')} sent, {client.lost} lost because it was slow"
+                    f" {numbers.counted(client.sent, 'scan')} sent, {client.lost} lost because it was slow"
                 )
 
     # -- from the sampler's thread ------------------------------------------------------------------
 
     def _scans_came(self, numbers: NDArray[np.int32], time_ns: NDArray[np.int64]) -> None:
-        self._call(lambda: self._hub.publish(numbers, time_ns))
+        self._call(lambda: self.hub.publish(numbers, time_ns))
 
     def _sensor_failed(self, error: Exception) -> None:
         def fail() -> None:
-            self._hub.fail(error)
+            self.hub.fail(error)
             # A little later, so that waiting clients get their answer first.
             asyncio.get_running_loop().call_later(0.2, self._end.set)
 
