@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.tracing.further_terms import Bought, Scored, bought_by_terms, next_term
 from adis_gonio.tracing.trace import TraceRun
+from adis_gonio.tracing.what_if import Bought, Scored, bought_by_terms, next_term
 from tracing.small_problems import U, ideal_mg, labelled, read, surroundings
 
 LABELS = ("bias[xy]", "quadratic[x]", "cubic[x]", "bias_drift[x]", "asymmetry[y]")

@@ -16,12 +16,10 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.model.effects import effect
 from adis_gonio.model.effects.base import lagged
 from adis_gonio.model.measurement import FreeAttitude, JointMeasurement, PlanarTurn, SessionOrigin
-from adis_gonio.tracing.joint_trace import JointResult, trace_sessions, trace_stacked
+from adis_gonio.tracing.joint_trace import JointResult, stack, trace_sessions, trace_stacked
 from adis_gonio.tracing.linear_problem import Products, amplitudes, linearise, span
 from adis_gonio.tracing.model_search import Climb, Search
-from adis_gonio.tracing.named_candidates import named_terms
-from adis_gonio.tracing.sharing import sharings, split_effect
-from adis_gonio.tracing.stacking import stack
+from adis_gonio.tracing.named_candidates import named_terms, sharings, split_effect
 from adis_gonio.tracing.trace import trace_readings
 from recordings import recording
 from tracing.joint_fleets import draw_fleet, draw_part, draw_session, origins

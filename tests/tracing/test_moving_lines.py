@@ -7,9 +7,9 @@ import pytest
 
 from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.record.loading import load_session
-from adis_gonio.tracing.within.moving_lines import moving_lines
 from adis_gonio.tracing.within.samples import Samples, samples_of
 from adis_gonio.tracing.within.second_pass import look_within
+from adis_gonio.tracing.within.tones import moving_lines
 from recordings import recording
 from tracing.dwell_samples import Added, draw
 

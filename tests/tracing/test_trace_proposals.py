@@ -10,8 +10,13 @@ import pytest
 
 from adis_gonio.base.numbers import format_duration
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.tracing.advice import place, sentences
-from adis_gonio.tracing.proposals import PredictedDwells, expected_separations, information_nats
+from adis_gonio.tracing.proposals import (
+    PredictedDwells,
+    expected_separations,
+    information_nats,
+    place,
+    sentences,
+)
 from adis_gonio.tracing.trace import trace
 from adis_gonio.tracing.trace_result import NextDwell
 

@@ -83,7 +83,7 @@ class Told:
             "undecided": lambda _: could,
         }.items():
             self.monkeypatch.setattr(stages, name, stage)
-        self.monkeypatch.setattr("adis_gonio.tracing.advice.advise", advise)
+        self.monkeypatch.setattr("adis_gonio.tracing.proposals.advise", advise)
         return trace_readings(data, 2)
 
 

@@ -14,9 +14,9 @@ from adis_gonio.tracing.credible_sets import probability_of
 from adis_gonio.tracing.linear_problem import linearise, span
 from adis_gonio.tracing.model_search import Search
 from adis_gonio.tracing.named_candidates import named_terms
+from adis_gonio.tracing.scatter import beside_unknown_cause, likeliest_size, unknown_features
 from adis_gonio.tracing.selection import Selection, select
 from adis_gonio.tracing.trace import trace_readings
-from adis_gonio.tracing.unknown_cause import beside_unknown_cause, likeliest_size, unknown_features
 from tracing.small_problems import U, function, ideal_mg, noisy, read, surroundings, turn
 
 

@@ -93,8 +93,7 @@ class TraceAdvisor:
         `visited` is the number of positions that were requested before and accepted; `reachable` returns
         True for a position that can be visited.
         """
-        from adis_gonio.tracing.advice import sentences
-        from adis_gonio.tracing.proposals import LEAST_SEPARATION
+        from adis_gonio.tracing.proposals import LEAST_SEPARATION, sentences
         from adis_gonio.tracing.trace import trace
 
         try:

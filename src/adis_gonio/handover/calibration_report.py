@@ -38,10 +38,10 @@ from adis_gonio.model.records import METADATA, Session
 from adis_gonio.page.document import Figure, KeyFigure, Role, Section, Series, Table, plot, render
 from adis_gonio.record.provenance import digest_of_file
 from adis_gonio.tracing import trace_summary as words
-from adis_gonio.tracing.further_terms import bought_by_terms, next_term
 from adis_gonio.tracing.trace_figures import Panel, Views, views_of, what_if_panels
 from adis_gonio.tracing.trace_result import TraceResult
 from adis_gonio.tracing.traced_answer import answer_with_trace
+from adis_gonio.tracing.what_if import bought_by_terms, next_term
 
 _COVARIATES = {
     "angle": "declared angle / °",

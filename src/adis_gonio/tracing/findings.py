@@ -46,9 +46,9 @@ from adis_gonio.tracing.averaging import Averaged, AveragedFit, AveragedTerm, mi
 from adis_gonio.tracing.credible_sets import cause_name, probability_of
 from adis_gonio.tracing.linear_problem import LinearProblem, amplitudes, span
 from adis_gonio.tracing.model_search import Model, Search, posterior
+from adis_gonio.tracing.named_candidates import SplitEffect
 from adis_gonio.tracing.scatter import Scatter
 from adis_gonio.tracing.selection import Selection
-from adis_gonio.tracing.sharing import SplitEffect
 from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.trace_result import ErrorFigures, Finding, Rival, Unnamed
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.estimation.fit import Fit, amplitude_spreads
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
+from adis_gonio.tracing.named_candidates import SplitEffect
 from adis_gonio.tracing.session_blocks import (
     ModelBasis,
     SessionBlocks,
@@ -34,7 +35,6 @@ from adis_gonio.tracing.session_blocks import (
     session_bases,
     solve_small_systems,
 )
-from adis_gonio.tracing.sharing import SplitEffect
 from adis_gonio.tracing.thresholds import limits
 
 _TINY = 1e-8

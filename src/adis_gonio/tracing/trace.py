@@ -52,10 +52,9 @@ from adis_gonio.tracing.findings import (
     unnamed_with_share,
     zeros_of,
 )
-from adis_gonio.tracing.further_terms import best_by_terms
 from adis_gonio.tracing.grammar import nameless_terms
 from adis_gonio.tracing.named_candidates import named_terms
-from adis_gonio.tracing.scatter import Scatter, with_scatter
+from adis_gonio.tracing.scatter import Scatter, beside_unknown_cause, with_scatter
 from adis_gonio.tracing.selection import Selection, select
 from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.trace_result import (
@@ -67,7 +66,6 @@ from adis_gonio.tracing.trace_result import (
     TraceResult,
     Unnamed,
 )
-from adis_gonio.tracing.unknown_cause import beside_unknown_cause
 from adis_gonio.tracing.validation import (
     Fold,
     disagreement_p_value,
@@ -80,7 +78,7 @@ from adis_gonio.tracing.validation import (
     reject_unchecked,
     without_folds,
 )
-from adis_gonio.tracing.what_if import FREE, AskedModel, compare
+from adis_gonio.tracing.what_if import FREE, AskedModel, best_by_terms, compare
 
 UNCHECKED = "the time limit ended the trace before this was checked"
 """Reason that the result gives for each term of a model that was not validated."""
@@ -467,7 +465,7 @@ class TraceRun:
 
         `selection` has the chosen model, and states if it is adequate.
         """
-        from adis_gonio.tracing.advice import advise
+        from adis_gonio.tracing.proposals import advise
 
         return advise(self.data, selection, self.terms, self.names.confounded)
 

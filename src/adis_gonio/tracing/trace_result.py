@@ -31,10 +31,9 @@ from adis_gonio.tracing.within.samples import WithinFinding
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration, GyroCalibration
-    from adis_gonio.tracing.further_terms import Scored
     from adis_gonio.tracing.trace_figures import Views
     from adis_gonio.tracing.validation import Fold
-    from adis_gonio.tracing.what_if import WhatIf
+    from adis_gonio.tracing.what_if import Scored, WhatIf
 
 
 class ErrorFigures(JsonRecord):

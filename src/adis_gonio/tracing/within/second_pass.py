@@ -43,10 +43,18 @@ from adis_gonio.model.effects import catalogue
 from adis_gonio.model.records import Session
 from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.trace_result import Finding, TraceResult
-from adis_gonio.tracing.within.courses import LEAST_DWELLS, LEAST_SAMPLES, Course, courses, grid
-from adis_gonio.tracing.within.events import events
-from adis_gonio.tracing.within.faults import quantization, saturation, spikes, stuck
-from adis_gonio.tracing.within.moving_lines import findings_of, moving_lines
+from adis_gonio.tracing.within.courses import LEAST_DWELLS, LEAST_SAMPLES, Course, courses, events, grid
+from adis_gonio.tracing.within.faults import (
+    LEAST_LOUD,
+    TESTS,
+    levels_of,
+    noise_change,
+    quantization,
+    saturation,
+    spikes,
+    step_of,
+    stuck,
+)
 from adis_gonio.tracing.within.samples import (
     SEARCHES,
     Samples,
@@ -54,14 +62,7 @@ from adis_gonio.tracing.within.samples import (
     samples_of,
     scatter,
 )
-from adis_gonio.tracing.within.tones import TAPER_LOSS, Density, tones
-from adis_gonio.tracing.within.variances import (
-    LEAST_DWELLS as LEAST_LOUD,
-    TESTS,
-    levels_of,
-    noise_change,
-    step_of,
-)
+from adis_gonio.tracing.within.tones import TAPER_LOSS, Density, findings_of, moving_lines, tones
 
 _CLAIMED_DWELLS = 4
 """Smallest number of dwells with a finding for it to count as found."""
