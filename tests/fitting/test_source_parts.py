@@ -15,7 +15,6 @@ from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting import determination as seen, linked, uncertainty as module
 from adis_gonio.fitting.estimation.links import Links
 from adis_gonio.fitting.estimation.readings import Readings, from_means
-from adis_gonio.fitting.linked import LinkReport
 from adis_gonio.fitting.noise_estimation import NoiseAssumptions, chi2_quantile
 from adis_gonio.model.effects import Conditions
 
@@ -238,45 +237,8 @@ def test_the_worst_link_is_that_of_the_longest_pair_of_rows() -> None:
     assert linked._worst(fit) == 2
 
 
-def found(fisher: Floats, free: list[bool], null: Floats | None = None, **more: object) -> SimpleNamespace:
-    nothing = np.zeros((len(fisher), 0))
-    return SimpleNamespace(
-        fisher=fisher,
-        free=np.array(free),
-        null=nothing if null is None else null,
-        names=("a", "b", "c"),
-        **{"held": (), "fit": SimpleNamespace(data=SimpleNamespace(sensor="generic")), **more},
-    )
-
-
-def test_what_links_gain_are_parameters_and_a_median_of_u() -> None:
-    plain = found(np.diag([1.0, 4.0, 1.0]), [True, True, False])
-    joined = found(np.diag([4.0, 100.0, 9.0]), [True, True, True])
-    gained, ratio = linked._gain(plain, joined)
-    assert gained == ("c",)
-    assert ratio == pytest.approx((1 / 2 + 2 / 10) / 2)
-    along = found(np.diag([1.0, 4.0, 0.0]), [True, True, True], np.array([[0.0], [0.0], [1.0]]))
-    assert linked._u_of(along) == pytest.approx([1.0, 0.5, math.inf])
-    assert linked._gain(along, joined)[0] == ("c",)
-    report = LinkReport(3, 1.0, 2, calibrated=True, gained=("c",), ratio=0.35)
-    assert (report.as_dict()["u_ratio"], report.as_dict()["gained"]) == (0.35, ["c"])
-    assert chi2_quantile(2, 1e-3) == pytest.approx(-2 * math.log(1e-3))  # χ² of two is exponential
-
-
-@pytest.mark.parametrize("sensor", ["adis16354", "generic"])
-def test_u_without_links_holds_the_limit_of_skews_that_are_taken_as_zero(sensor: str) -> None:
-    rows = 100 * RNG.standard_normal((9, 3))
-    held = found(
-        rows.T @ rows,
-        [True, True, False],
-        held=(2,),
-        fit=SimpleNamespace(data=SimpleNamespace(sensor=sensor)),
-    )
-    limit = VARIANTS[sensor].performance.skew_u_rad if sensor in VARIANTS else 0.0
-    # What a skew of that size adds to readings, least squares takes for the others.
-    moved = np.linalg.lstsq(rows[:, :2], limit * rows[:, 2], rcond=None)[0]
-    own = np.diagonal(np.linalg.inv(rows[:, :2].T @ rows[:, :2]))
-    assert linked._u_of(held) == pytest.approx([*np.sqrt(own + moved**2), math.inf])
+def test_the_quantile_of_chi2_of_two_is_that_of_an_exponential() -> None:
+    assert chi2_quantile(2, 1e-3) == pytest.approx(-2 * math.log(1e-3))
 
 
 # -- what is determined ----------------------------------------------------------------------------------

@@ -1,6 +1,20 @@
 """Links: turns between poses that the gyros measured, tested against gravity and added to a fit.
 
-Links (`gyros.gyro_links`) and the length of gravity determine the parameters together. Links that disagree
+The zero rate of a gyro during a turn is taken as its mean rate in the two adjacent dwells, plus its
+g-sensitivity times the change of the accelerometers' readings during the turn. The uncertainty of the
+rotation has these parts:
+
+* white noise of the samples and of the means of both dwells, and the error of bridges over lost scans;
+* motion that is faster than the samples show (`turn_integration.Aliasing`), such as a knock;
+* 1/f noise: the difference between the zero rate during the turn and its mean in both dwells;
+* the rotation of the earth: its share in the zero rate changes with the attitude;
+* errors that all links share: gains and directions of the gyros (`GyroPrior`), their g-sensitivity with its
+  uncertainty after the dwells of the session, and the change of a gain with the sign of the rate.
+
+Two neighbouring links share the dwell between them. Links that are farther apart count as independent,
+because slow noise cancels in the zero rate minus the mean of its neighbours.
+
+Links and the length of gravity determine the parameters together. Links that disagree
 with gravity raise χ² of the fit; the rise is tested with the degrees of freedom that the links add. If it
 is above the 99.9 % quantile, the link that disagrees most is removed and the test is repeated. If more than
 a quarter of the links would be removed, or no link remains, no link is used and the fit uses gravity alone.
@@ -9,27 +23,353 @@ a quarter of the links would be removed, or no link remains, no link is used and
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats
-from adis_gonio.base.errors import UsageError
+from adis_gonio.base.arrays import Floats, central_differences
+from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.uncertainty import LINK_REFUSED
+from adis_gonio.calibrate.gyro_calibration import GyroCalibration, sensitivity_of
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting import determination
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.links import Links
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
+from adis_gonio.fitting.estimation.spectrum import covariance_of_means
+from adis_gonio.fitting.gyros import turn_integration
+from adis_gonio.fitting.gyros.gyro_readings import GyroDwells, gyro_dwells_of, measured_turn
 from adis_gonio.fitting.noise_estimation import chi2_quantile, settle
-from adis_gonio.model.records import Session
+from adis_gonio.model.effects.base import AXES
+from adis_gonio.model.records import Session, Turn
 
-if TYPE_CHECKING:
-    from adis_gonio.calibrate.gyro_calibration import GyroCalibration
-    from adis_gonio.fitting.gyros.gyro_links import GyroLinks, GyroPrior
+SHEET_GAIN = 0.02
+"""Largest relative error of a gyro's scale factor (ADIS16350 data sheet: sensitivity ±2 %)."""
+SHEET_FRAME_DEG = 0.5
+"""Largest angle in degrees between a triad and the package, for gyros and accelerometers (ADIS16350 data
+sheet)."""
+SHEET_ASYMMETRY = 0.002
+"""Largest relative change of a gyro's gain with the sign of the rate (ADIS16350 data sheet: nonlinearity
+±0.2 % of full scale)."""
+UNKNOWN_GAIN, UNKNOWN_MISALIGNMENT_DEG, UNKNOWN_G_DPS = 0.05, 2.0, 0.1
+"""Standard uncertainties of gain, misalignment and g-sensitivity (°/s/g) of gyros without a data sheet:
+estimates (D)."""
+_LEAST_DRIFTING = 7
+"""Fewest dwells for a drift: zero rate, drift and three g-sensitivities leave two degrees of freedom."""
+_NAMES = (
+    *(f"gyro_scale_{i}" if i == j else f"gyro_misalignment_{i}{j}" for i in AXES for j in AXES),
+    *(f"g_sensitivity_{i}{j}" for i in AXES for j in AXES),
+)
+"""Names of the first 18 of the 21 gyro parameters, as a calibration has them."""
+
+
+@dataclass(frozen=True)
+class GyroPrior:
+    """Prior of the parameters of three gyros, from a data sheet or a calibration.
+
+    The 21 parameters are the matrix of gains and directions (9), the g-sensitivity (9) and the asymmetry of
+    the gains (3), which is their relative change with the sign of the rate.
+
+    Attributes
+    ----------
+    values : (21,) float
+        Prior mean of the parameters.
+    covariance : (21, 21) float
+        Prior covariance of the parameters.
+    """
+
+    values: Floats
+    covariance: Floats
+
+    @cached_property
+    def root(self) -> Floats:
+        """Square root (21, q) of the prior covariance: root times its transpose is the covariance."""
+        size, axes = np.linalg.eigh(self.covariance)
+        kept = size > 1e-12 * max(float(size[-1]), 1e-300)
+        return np.asarray(axes[:, kept] * np.sqrt(size[kept]))
+
+    @classmethod
+    def of_sheet(cls, sensor: str) -> GyroPrior:
+        """Make the prior of perfect gyros, with rectangular distributions within data-sheet limits.
+
+        Gains and misalignments of each gyro are independent. In addition the triad of the gyros is rotated
+        as a whole against the triad of the accelerometers, because the direction of each triad in the
+        package is uncertain by the same limit.
+        """
+        values = np.concatenate([np.eye(3).ravel(), np.zeros(turn_integration.PARAMETERS - 9)])
+        gain, per_g = UNKNOWN_GAIN, UNKNOWN_G_DPS
+        misalignment = turned = math.radians(UNKNOWN_MISALIGNMENT_DEG)
+        if sensor in VARIANTS:
+            figures = VARIANTS[sensor].performance
+            gain = SHEET_GAIN / math.sqrt(3)
+            misalignment = figures.skew_u_rad
+            turned = math.radians(SHEET_FRAME_DEG) * math.sqrt(2 / 3)
+            per_g = figures.gyro_g_sensitivity_dps_per_g
+        own = np.where(np.eye(3, dtype=bool), gain, misalignment).ravel() ** 2
+        covariance = np.diag(
+            np.concatenate([own, np.full(9, per_g**2), np.full(3, SHEET_ASYMMETRY**2 / 3)])
+        )
+        for i, j in ((0, 1), (0, 2), (1, 2)):
+            # A small rotation in the plane of axes i and j changes two elements of A by ± its angle.
+            apart = np.zeros(turn_integration.PARAMETERS)
+            apart[3 * i + j], apart[3 * j + i] = turned, -turned
+            covariance += np.outer(apart, apart)
+        return cls(values, covariance)
+
+    def calibrated(self, gyros: GyroCalibration) -> GyroPrior:
+        """Return a copy in which parameters that a calibration of the gyros determines have its values."""
+        values, covariance = self.values.copy(), self.covariance.copy()
+        names = np.array(_NAMES)
+        known = np.flatnonzero([name in gyros for name in names])
+        matrix = np.zeros((len(gyros.parameters),) * 2) if gyros.covariance is None else gyros.covariance
+        begin = gyros.values
+        slope = central_differences(lambda values: _parameters(gyros, values), begin, 1e-6)
+        values[known] = _parameters(gyros, begin)[known]
+        # The calibration replaces the prior of these parameters and their correlation with the others.
+        covariance[known, :] = covariance[:, known] = 0.0
+        covariance[np.ix_(known, known)] = (slope @ matrix @ slope.T)[np.ix_(known, known)]
+        return GyroPrior(values, covariance)
+
+
+def _parameters(gyros: GyroCalibration, values: Floats) -> Floats:
+    """Convert values of a calibration's parameters to the 21 gyro parameters of the prior.
+
+    Parameters that the calibration lacks get the values of perfect gyros.
+    """
+    held = gyros.by_kind(values)
+    return np.concatenate([sensitivity_of(held).ravel(), held["g_sensitivity"].ravel(), np.zeros(3)])
+
+
+EARTH_DPS = 360.0 / 86164.0
+"""Rate of rotation of the earth in °/s."""
+_CONTRAST = np.array([-0.5, 1.0, -0.5])
+"""Weights of dwell, turn and dwell whose sum is the zero rate over the turn minus its estimate by the two
+dwells."""
+
+
+@dataclass(frozen=True)
+class Leg:
+    """Samples of a turn between two dwells.
+
+    Attributes
+    ----------
+    positions : (int, int)
+        Numbers of the dwells before and after the turn.
+    time_s, rate_dps, force_g, size_dps : (n,), then (n, 3) float
+        Samples of the turn: times; rates minus the mean rate in both dwells; force minus its mean in both
+        dwells; and absolute rates with reduced noise (of means over short blocks of samples).
+    zero_dps2 : (3,) float
+        Variance of the zero rate that was subtracted.
+    missing_rad2 : (3, 3) float
+        Covariance of the rotation because samples were lost and because they miss fast motion.
+    spans_s : (3, 2) float
+        Begin and end of the dwell before, the turn and the dwell after.
+    shared_dps2 : (3,) float
+        Variance of the mean rate in the dwell after, which the next turn shares.
+    """
+
+    positions: tuple[int, int]
+    time_s: Floats
+    rate_dps: Floats
+    force_g: Floats
+    size_dps: Floats
+    zero_dps2: Floats
+    missing_rad2: Floats
+    spans_s: Floats
+    shared_dps2: Floats
+
+
+@dataclass(frozen=True)
+class GyroLinks:
+    """All turns of a session as links, before the parameters of its gyros are fitted.
+
+    Attributes
+    ----------
+    legs : tuple of Leg
+        Samples of each turn that gives a link, in the order of time.
+    prior : GyroPrior
+        Prior of the gyros' parameters.
+    noise_dps2 : (3, 3) float
+        Covariance of a sample's noise, by its spectral density at frequency zero.
+    allan_dps2 : (3,) float
+        Allan variance of the gyros' 1/f noise.
+    refused : tuple of (int, int, str)
+        Turns without a link: numbers of the dwells before and after, and the reason.
+    """
+
+    legs: tuple[Leg, ...]
+    prior: GyroPrior
+    noise_dps2: Floats
+    allan_dps2: Floats
+    refused: tuple[tuple[int, int, str], ...] = ()
+
+    @cached_property
+    def _wander(self) -> tuple[Floats, Floats]:
+        """Variance and covariance of the zero rates of the turns by 1/f noise with an Allan variance of 1.
+
+        The zero rate of a turn is estimated by the mean of the two adjacent dwells. The results are the
+        variance (m,) of the error of each estimate, and its covariance (m,) with the error of the next
+        turn.
+        """
+        own, following = np.zeros(len(self.legs)), np.zeros(len(self.legs))
+        for k, leg in enumerate(self.legs):
+            # Variance of the contrast of dwell, turn and dwell.
+            covariance = covariance_of_means(*leg.spans_s.T)
+            own[k] = _CONTRAST @ covariance @ _CONTRAST
+            if k + 1 < len(self.legs) and self.legs[k + 1].positions[0] == leg.positions[1]:
+                # Two legs with a common dwell: five intervals, two overlapping contrasts.
+                spans = np.concatenate([leg.spans_s, self.legs[k + 1].spans_s[1:]])
+                covariance = covariance_of_means(*spans.T)
+                following[k] = np.append(_CONTRAST, [0, 0]) @ covariance @ np.append([0, 0], _CONTRAST)
+        return own, following
+
+    def at(self, values: Floats, position: Sequence[int]) -> Links:
+        """Return links between readings, linearised at parameters `values` (21,) of the gyros.
+
+        Parameters
+        ----------
+        position : (n,) int
+            Numbers of the dwells of the readings; turns that begin or end in other dwells are left out.
+        """
+        place = {int(number): row for row, number in enumerate(position)}
+        used = [k for k, leg in enumerate(self.legs) if all(p in place for p in leg.positions)]
+        turned = [
+            turn_integration.attitude(
+                leg.time_s, leg.rate_dps, leg.force_g, values, self.noise_dps2, leg.size_dps
+            )
+            for leg in self.legs
+        ]
+        own_wander, next_wander = self._wander
+        m = len(used)
+        own, following = np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
+        for row, k in enumerate(used):
+            leg, found = self.legs[k], turned[k]
+            # Noise of the zero rate and of the samples, turned into the frame after the turn.
+            zero = np.diag(leg.zero_dps2 + self.allan_dps2 * own_wander[k])
+            own[row] = found.by_zero @ zero @ found.by_zero.T + found.noise_rad2
+            # The earth turns by a known angle about an unknown axis: a third of its square on each axis.
+            earth = (math.radians(EARTH_DPS) * float(leg.time_s[-1] - leg.time_s[0])) ** 2 / 3
+            own[row] += leg.missing_rad2 + earth * np.eye(3)
+            if row + 1 < m and self.legs[used[row + 1]].positions[0] == leg.positions[1]:
+                # Each leg takes half of the common dwell as its zero rate.
+                shared = np.diag(leg.shared_dps2 / 4 + self.allan_dps2 * next_wander[k])
+                following[row] = found.by_zero @ shared @ turned[used[row + 1]].by_zero.T
+        slopes = np.array([turned[k].by_parameter for k in used]).reshape(m, 3, len(values))
+        return Links(
+            before=np.array([place[self.legs[k].positions[0]] for k in used], dtype=np.intp),
+            after=np.array([place[self.legs[k].positions[1]] for k in used], dtype=np.intp),
+            rotation=np.array([turned[k].rotation for k in used]).reshape(m, 3, 3),
+            offset_rad=slopes @ (self.prior.values - values),
+            own_rad2=own,
+            next_rad2=following,
+            modes_rad=slopes @ self.prior.root,
+        )
+
+
+def gyro_links(session: Session, prior: GyroPrior | None = None) -> GyroLinks | None:
+    """Make the links of a session; None if it records no turn between two poses.
+
+    Parameters
+    ----------
+    prior : GyroPrior, optional
+        Prior of the gyros' parameters; by default from their data sheet.
+    """
+    if session.gyro_unit == "counts" or not any(dwell.gyro is not None for dwell in session.dwells):
+        return None
+    turns = [turn for turn in session.turns if turn.gyro is not None and len(turn)]
+    if not turns:
+        return None
+    try:
+        rests = session.once(gyro_dwells_of)
+    except DataError:
+        return None
+    legs: list[Leg] = []
+    refused: list[tuple[int, int, str]] = []
+    for turn in turns:
+        leg = _leg(session, turn, rests)
+        if isinstance(leg, Leg):
+            legs.append(leg)
+        else:
+            refused.append((turn.before, turn.position, leg))
+    unrecorded = ("recorded", "recording", "no samples", "not turned")
+    if not legs and all(any(word in reason for word in unrecorded) for *_, reason in refused):
+        return None
+    known = GyroPrior.of_sheet(session.sensor) if prior is None else prior
+    return GyroLinks(
+        tuple(legs), _by_dwells(known, rests), rests.sampling.density_dps2, rests.allan_dps2, tuple(refused)
+    )
+
+
+def _leg(session: Session, turn: Turn, rests: GyroDwells) -> Leg | str:
+    """Return the samples of a turn from one dwell to the next, or the reason why it gives no link."""
+    measured = measured_turn(session, turn, rests)
+    if isinstance(measured, str):
+        return measured
+    (path, integral), sampling = measured, rests.sampling
+    before, after = (rests.by_position[position] for position in (turn.before, turn.position))
+    rows = slice(
+        int(np.searchsorted(path.time_s, integral.begin_s + sampling.delay_s)),
+        int(np.searchsorted(path.time_s, integral.end_s + sampling.delay_s, side="right")),
+    )
+    time = path.time_s[rows]
+    rate = path.rate_dps[rows] - path.zero_dps.mean(axis=0)
+    force = path.force_g[rows] - path.rest_g.mean(axis=0)
+    turned = turn_integration.rates_at_end(time, rate)
+    missing = integral.bridged_deg2 * np.eye(3)
+    missing += sampling.aliasing.covariance(time, turned, sampling.period_s)
+    return Leg(
+        (turn.before, turn.position),
+        time,
+        rate,
+        np.where(np.isfinite(force), force, 0.0),
+        np.abs(turn_integration.smooth_blocks(rate, sampling.window)),
+        (rests.variance_dps2[before] + rests.variance_dps2[after]) / 4,
+        math.radians(1.0) ** 2 * missing,
+        np.array([rests.spans_s[before], (integral.begin_s, integral.end_s), rests.spans_s[after]]),
+        rests.variance_dps2[after],
+    )
+
+
+def _by_dwells(prior: GyroPrior, rests: GyroDwells) -> GyroPrior:
+    """Return the prior with the g-sensitivity updated by the zero rates measured in the dwells.
+
+    A drift of the zero rates with time is removed if the dwells are then predicted better.
+    """
+    n = len(rests.dwells)
+    if n < 2 or not np.isfinite(rests.force_g).all():
+        return prior
+    time = rests.spans_s.mean(axis=1)
+    courses = [np.ones((n, 1)), np.column_stack([np.ones(n), time - time.mean()])]
+    found = []
+    for course in courses[: 1 if n < _LEAST_DRIFTING else 2]:
+        # Least squares of zero rates on forces, both without the course in time.
+        span = np.linalg.qr(course)[0]
+        away, left = (one - span @ (span.T @ one) for one in (rests.force_g, rests.mean_dps))
+        residual = left - away @ np.linalg.lstsq(away, left, rcond=1e-6)[0]
+        leverage = (span**2).sum(axis=1) + np.einsum("ni,in->n", away, np.linalg.pinv(away, rcond=1e-6))
+        # Sum over gyros of the logarithm of the error of left-out dwells.
+        ahead = residual / np.maximum(1 - leverage, 1e-6)[:, None]
+        found.append((float(np.log((ahead**2).mean(axis=0) + 1e-300).sum()), away, left, residual, course))
+    _, away, left, residual, course = min(found, key=lambda one: one[0])
+    scatter = (residual**2).sum(axis=0) / max(n - 3 - course.shape[1], 1)
+    # The zero rate wanders from dwell to dwell; a few dwells show too little of that.
+    variance = np.maximum(scatter, rests.variance_dps2.mean(axis=0) + 2 * rests.allan_dps2)
+    gram, product = away.T @ away, away.T @ left
+    values, covariance = prior.values.copy(), prior.covariance.copy()
+    for gyro in range(3):
+        rows = slice(9 + 3 * gyro, 12 + 3 * gyro)
+        before = covariance[rows, rows]
+        # Posterior of a linear model: (P⁻¹ + G/σ²)⁻¹, without the inverse of a P that may be singular.
+        after = np.linalg.solve(np.eye(3) + before @ gram / variance[gyro], before)
+        values[rows] = values[rows] + after @ (product[:, gyro] - gram @ values[rows]) / variance[gyro]
+        covariance[rows, rows] = (after + after.T) / 2
+    return GyroPrior(values, covariance)
+
 
 Refused = tuple[int, int, str]
 LEAST_POSES = 3
@@ -63,14 +403,6 @@ class LinkReport:
         True if a calibration of the gyros was given; False if the data sheet is used.
     why : str
         Reason why no link is used; empty if some are.
-    gained : tuple of str
-        Parameters that only the links determine.
-    ratio : float or None
-        Median ratio of u with links to u without links, over the parameters that both fits determine; None
-        without links or such a parameter.
-    missed_deg : float
-        Standard uncertainty in degrees of a turn about each axis because of lost samples and motion between
-        samples; 0 if the noise of the samples contributes more.
     """
 
     used: int
@@ -79,9 +411,6 @@ class LinkReport:
     refused: tuple[Refused, ...] = ()
     calibrated: bool = False
     why: str = ""
-    gained: tuple[str, ...] = ()
-    ratio: float | None = None
-    missed_deg: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
         """Return the JSON object of the report, the value of `links` in a result."""
@@ -92,9 +421,6 @@ class LinkReport:
             "refused": [{"from": b, "to": a, "why": why} for b, a, why in self.refused],
             "gyros": "calibrated" if self.calibrated else "data sheet",
             "why_none": self.why or None,
-            "gained": list(self.gained),
-            "u_ratio": self.ratio,
-            "missed_deg": self.missed_deg,
         }
 
     @property
@@ -103,19 +429,11 @@ class LinkReport:
         if not self.used:
             return f"turns between the poses are not used: {self.why}"
         parts = [f"{counted(self.used, 'turn')} between the poses by the gyros"]
-        if self.gained:
-            parts.append(f"they determine {', '.join(self.gained)}")
-        if self.ratio is not None:
-            of = "u of the others" if self.gained else "u with them"
-            parts.append(f"{of} is {self.ratio:.2f} of that without, median")
         parts.append(f"χ² {self.chi2:.1f} at {counted(self.dof, 'degree')} of freedom")
-        if self.missed_deg:
-            parts.append(f"the samples miss fast motion, {self.missed_deg:.2g}° of a turn; sample faster")
-        left = "; ".join(f"{b} to {a} left out: {why}" for b, a, why in self.refused[:2])
-        more = len(self.refused) - 2
-        if more > 0:
-            left += f"; and {more} more"
-        return "; ".join([*parts, *([left] if left else [])])
+        parts += [f"{b} to {a} left out: {why}" for b, a, why in self.refused[:2]]
+        if len(self.refused) > 2:
+            parts.append(f"and {len(self.refused) - 2} more")
+        return "; ".join(parts)
 
 
 def linked_readings(
@@ -141,8 +459,6 @@ def _linked(session: Session, gyros: GyroCalibration | None = None) -> tuple[Rea
         if gyros is not None:
             raise UsageError("a calibration of gyros is for poses in space; this session has a plane")
         return readings, None
-    from adis_gonio.fitting.gyros.gyro_links import GyroPrior, gyro_links
-
     prior = GyroPrior.of_sheet(session.sensor)
     found = gyro_links(session, prior if gyros is None else prior.calibrated(gyros))
     if found is None:
@@ -198,9 +514,7 @@ def judge_links(readings: Readings, found: GyroLinks) -> tuple[Links | None, Lin
         if dof < 1:
             return none("they are too few to be tested against gravity")
         if chi2 <= chi2_quantile(dof, LINK_REFUSED):
-            gained, ratio = _gain(plain, linked)
-            report = LinkReport(len(links), chi2, dof, tuple(refused), gained=gained, ratio=ratio)
-            return links, replace(report, missed_deg=found.missed_deg)
+            return links, LinkReport(len(links), chi2, dof, tuple(refused))
         if left_out >= allowed:
             rows = linked.fit.link_rows
             assert rows is not None
@@ -285,33 +599,3 @@ def _worst(fit: Fit) -> int:
     # The last rows of the residual belong to the links, two for each.
     rows = fit.residual[-2 * len(links.links) :].reshape(-1, 2)
     return int((rows**2).sum(axis=1).argmax())
-
-
-def _gain(
-    plain: determination.Determination, linked: determination.Determination
-) -> tuple[tuple[str, ...], float | None]:
-    """Compare the uncertainties of the fits without links (`plain`) and with links.
-
-    Return the names of the parameters that only the fit with links determines, and the median ratio of u
-    with links to u without links, None if the fits have no parameter in common.
-    """
-    without, together = _u_of(plain), _u_of(linked)
-    names = zip(linked.names, without, together, strict=True)
-    gained = tuple(name for name, a, b in names if math.isinf(a) and math.isfinite(b))
-    both = np.isfinite(without) & np.isfinite(together)
-    return gained, float(np.median(together[both] / without[both])) if both.any() else None
-
-
-def _u_of(found: determination.Determination) -> Floats:
-    """Return the standard uncertainty (p,) of the parameters in natural units; inf for undetermined ones.
-
-    It includes the data-sheet figure for skews that are taken as zero, as the u of a result does.
-    """
-    variance = np.maximum(np.diagonal(determination.covariance(found.fisher, found.free, found.null)), 0.0)
-    sensor = found.fit.data.sensor
-    skew_u_rad = VARIANTS[sensor].performance.skew_u_rad if sensor in VARIANTS else 0.0
-    for k in found.held:
-        variance = variance + (skew_u_rad * determination.shift_by_held(found, k)) ** 2
-    rows = enumerate(np.eye(len(variance)))
-    seen = [bool(found.free[k]) and determination.is_determined(row, found.null) for k, row in rows]
-    return np.where(seen, np.sqrt(variance), np.inf)

@@ -2,7 +2,7 @@
 
 A pose in space gives one equation, because its attitude u is unknown. A known rotation Φ from one pose to
 the next gives two more: u' = exp(ε×) Φ u, with the attitude u' after the turn and a small rotation error ε
-(`gyros.gyro_links`). Let P(u) be two directions normal to u, and ũ the attitudes that fit the readings best
+(`fitting.linked`). Let P(u) be two directions normal to u, and ũ the attitudes that fit the readings best
 at some parameters. The rows of a link are
 
     y = P(ũ')ᵀ (ũ' − Φ ũ) = T' e' − F T e + K ε,    F = P(ũ')ᵀ Φ P(ũ),    K = −P(ũ')ᵀ [Φ ũ]×,
