@@ -1,24 +1,30 @@
 """Filter and smoother against one least squares over all states, and against statsmodels."""
 
+from functools import reduce
+from itertools import accumulate
+
 import numpy as np
 import pytest
 
-from adis_gonio.live.motion_model import Passed, StateEstimate, TimeStep, advance, smooth_lagged
+from adis_gonio.live.motion_model import StateEstimate, TimeStep, advance, with_copy
 
 SIZE, COUNT = 4, 30
 
 
-def forward(state: StateEstimate, steps: list[TimeStep]) -> list[Passed]:
+def forward(state: StateEstimate, steps: list[TimeStep]) -> list[StateEstimate]:
     """The filter over many steps."""
-    passed: list[Passed] = []
-    for step in steps:
-        passed.append(advance(passed[-1].filtered if passed else state, step))
-    return passed
+    return list(accumulate(steps, advance, initial=state))[1:]
 
 
-def smoothed_states(passed: list[Passed]) -> list[StateEstimate]:
+def smooth_lagged(state: StateEstimate, later: list[TimeStep]) -> StateEstimate:
+    """A filtered state, corrected by the observations of later steps."""
+    both = reduce(advance, later, with_copy(state))
+    return StateEstimate(both.mean[SIZE:], both.covariance[SIZE:, SIZE:])
+
+
+def smoothed_states(passed: list[StateEstimate], steps: list[TimeStep]) -> list[StateEstimate]:
     """The state of every step, given the observations of all steps."""
-    return [smooth_lagged(one.filtered, passed[k + 1 :]) for k, one in enumerate(passed)]
+    return [smooth_lagged(one, steps[k + 1 :]) for k, one in enumerate(passed)]
 
 
 def model(
@@ -88,7 +94,7 @@ def batch(prior: StateEstimate, steps: list[TimeStep]) -> tuple[np.ndarray, np.n
 @pytest.mark.parametrize("singular", [False, True])
 def test_all_states_are_those_of_one_least_squares(seed, singular):
     prior, steps = model(seed, singular=singular, gaps=(4, 5, 6))
-    smoothed = smoothed_states(forward(prior, steps))
+    smoothed = smoothed_states(forward(prior, steps), steps)
     mean, covariance = batch(prior, steps)
     assert np.array([s.mean for s in smoothed]) == pytest.approx(mean, abs=1e-9)
     assert np.array([s.covariance for s in smoothed]) == pytest.approx(covariance, abs=1e-9)
@@ -99,7 +105,7 @@ def test_a_fixed_lag_is_least_squares_of_all_that_has_come(lag):
     prior, steps = model(7, gaps=(2, 9))
     passed = forward(prior, steps)
     for k in range(COUNT - lag):
-        told = smooth_lagged(passed[k].filtered, passed[k + 1 : k + 1 + lag])
+        told = smooth_lagged(passed[k], steps[k + 1 : k + 1 + lag])
         mean, covariance = batch(prior, steps[: k + 1 + lag])
         assert told.mean == pytest.approx(mean[k], abs=1e-9)
         assert told.covariance == pytest.approx(covariance[k], abs=1e-9)
@@ -108,9 +114,7 @@ def test_a_fixed_lag_is_least_squares_of_all_that_has_come(lag):
 def test_a_longer_lag_never_knows_less():
     prior, steps = model(3)
     passed = forward(prior, steps)
-    spreads = [
-        smooth_lagged(passed[5].filtered, passed[6 : 6 + lag]).covariance[0, 0] for lag in range(COUNT - 6)
-    ]
+    spreads = [smooth_lagged(passed[5], steps[6 : 6 + lag]).covariance[0, 0] for lag in range(COUNT - 6)]
     assert (np.diff(spreads) <= 1e-12).all()
     assert spreads[-1] < 0.9 * spreads[0]
 
@@ -137,8 +141,8 @@ def test_statsmodels_gives_the_same():
     known.initialize_known(first.transition @ prior.mean + first.shift, start)
     theirs = known.smooth()
     passed = forward(prior, steps)
-    ours = smoothed_states(passed)
-    filtered, smoothed = [p.filtered.mean for p in passed], [s.mean for s in ours]
+    ours = smoothed_states(passed, steps)
+    filtered, smoothed = [p.mean for p in passed], [s.mean for s in ours]
     assert pytest.approx(np.array(filtered), abs=1e-8) == theirs.filtered_state.T
     assert pytest.approx(np.array(smoothed), abs=1e-8) == theirs.smoothed_state.T
     covariances = np.moveaxis(np.array([s.covariance for s in ours]), 0, -1)
@@ -153,7 +157,7 @@ def test_squared_errors_in_units_of_u_are_chi_squared(lag):
         prior, steps, truth = drawn(seed)
         passed = forward(prior, steps)
         k = COUNT - 1 - lag
-        told = smooth_lagged(passed[k].filtered, passed[k + 1 :])
+        told = smooth_lagged(passed[k], steps[k + 1 :])
         off = told.mean - truth[k]
         found.append(off @ np.linalg.solve(told.covariance, off))
     assert np.mean(found) == pytest.approx(SIZE, abs=4 * np.sqrt(2 * SIZE / len(found)))

@@ -37,11 +37,10 @@ few per cent. Slower octaves are constant over a few seconds and are added to u.
 
     x(k) = F x(k−1) + s + w,  w ~ N(0, Q);    y(k) = h·x(k) + v,  v ~ N(0, r)
 
-x is the state, F its transition, s the known change, w and v are random. The smoother passes back over the
-steps within its lag. This pass follows Rauch, Tung and Striebel in the form of Bierman ("Fixed interval
-smoothing with discrete measurements", 1973). It carries the information of later observations as an adjoint
-vector and matrix, and needs no inverse, so constant parts of the state, or parts without variance, are no
-special case.
+x is the state, F its transition, s the known change, w and v are random. To smooth a state, the filter runs
+on over the steps within the lag with a copy of the state, which does not change with time and which the
+later observations correct. This needs no inverse, so constant parts of the state, or parts without
+variance, are no special case.
 
 A letter B or D after a figure is its confidence: B from the data sheet of related sensors, D an estimate.
 """
@@ -50,8 +49,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Protocol
 
@@ -487,68 +486,36 @@ class TimeStep:
     variance: float
 
 
-@dataclass(frozen=True)
-class Passed:
-    """A time step with the states and the gain that the filter computed for it.
+def with_copy(state: StateEstimate) -> StateEstimate:
+    """Return a state (2k,) of a state (k,) and a copy of it.
 
-    Attributes
-    ----------
-    predicted, filtered : StateEstimate
-        State before and after the correction by the step's observation.
-    innovation, innovation_variance : float
-        Observed minus predicted angle, and its variance; 0 and inf without an observation.
-    gain : (k,) float
-        Change of the state by the observation, per unit of the innovation.
-    step : TimeStep
-        Matrices of the step.
+    `advance` changes only the state. Later observations correct the copy, so that it is the smoothed state
+    of the present time (fixed-lag smoother).
     """
-
-    predicted: StateEstimate
-    filtered: StateEstimate
-    innovation: float
-    innovation_variance: float
-    gain: Floats
-    step: TimeStep
+    return StateEstimate(np.tile(state.mean, 2), np.tile(state.covariance, (2, 2)))
 
 
-def advance(state: StateEstimate, step: TimeStep) -> Passed:
-    """Advance the Kalman filter by one time step: predict the state, then correct it by the observation."""
-    f = step.transition
-    covariance = f @ state.covariance @ f.T + step.process
-    predicted = StateEstimate(f @ state.mean + step.shift, 0.5 * (covariance + covariance.T))
+def advance(state: StateEstimate, step: TimeStep) -> StateEstimate:
+    """Advance the Kalman filter by one time step: predict the state, then correct it by the observation.
+
+    The state may have more components than the step (`with_copy`); these do not change with time.
+    """
+    f, k = step.transition, len(step.shift)
+    mean, covariance = state.mean.copy(), state.covariance.copy()
+    mean[:k] = f @ mean[:k] + step.shift
+    covariance[:k] = f @ covariance[:k]
+    covariance[:, :k] = covariance[:, :k] @ f.T
+    covariance[:k, :k] += step.process
+    covariance = 0.5 * (covariance + covariance.T)
     if step.observed is None:
-        return Passed(predicted, predicted, 0.0, np.inf, np.zeros(len(state.mean)), step)
+        return StateEstimate(mean, covariance)
     # Kalman gain of one scalar observation.
-    seen = predicted.covariance @ step.design
-    variance = float(step.design @ seen) + step.variance
-    innovation = step.observed - float(step.design @ predicted.mean)
-    gain = seen / variance
-    filtered = StateEstimate(
-        predicted.mean + gain * innovation, predicted.covariance - np.outer(gain, seen)
+    seen = covariance[:, :k] @ step.design
+    variance = float(step.design @ seen[:k]) + step.variance
+    innovation = step.observed - float(step.design @ mean[:k])
+    return StateEstimate(
+        mean + seen * (innovation / variance), covariance - np.outer(seen, seen / variance)
     )
-    return Passed(predicted, filtered, innovation, variance, gain, step)
-
-
-def smooth_lagged(state: StateEstimate, later: Sequence[Passed]) -> StateEstimate:
-    """Return a filtered state corrected by the observations of the later steps (fixed-lag smoother)."""
-    # Adjoint vector λ and matrix Λ, which carry the later observations back to the state.
-    vector, matrix = np.zeros(len(state.mean)), np.zeros((len(state.mean), len(state.mean)))
-    for one in reversed(later):
-        h, f = one.step.design, one.step.transition
-        if np.isfinite(one.innovation_variance):
-            # Cᵀ λ − h innovation/variance and Cᵀ Λ C + h hᵀ/variance, C = I − gain hᵀ, written out.
-            by_gain = matrix @ one.gain
-            vector = vector - h * (float(one.gain @ vector) + one.innovation / one.innovation_variance)
-            matrix = (
-                matrix
-                - np.outer(h, by_gain)
-                - np.outer(by_gain, h)
-                + np.outer(h, h) * (float(one.gain @ by_gain) + 1 / one.innovation_variance)
-            )
-        vector, matrix = f.T @ vector, f.T @ matrix @ f
-    p = state.covariance
-    covariance = p - p @ matrix @ p
-    return StateEstimate(state.mean - p @ vector, 0.5 * (covariance + covariance.T))
 
 
 ANGLE, ZERO, SCALE, G_X, G_Y, LEVER_X, LEVER_Y, NOW, BEFORE = range(9)
@@ -591,6 +558,12 @@ class Turned:
     lost : bool
         True if the gap before the step is so long that the angle is unknown and the sensor may have been
         switched off.
+    level : complex
+        Gravity in the plane as x − i y, in mg, turned back by the gyros to the attitude after the last gap.
+    segment : int
+        Number of gaps before the step.
+    notes : tuple of str
+        Names of events, as in `SmoothedAngle`.
     """
 
     increment: Increment
@@ -601,6 +574,9 @@ class Turned:
     spin_rad_s2: float
     across_dps: float
     lost: bool = False
+    level: complex = 0j
+    segment: int = 0
+    notes: tuple[str, ...] = ()
 
     @property
     def gravity_deg(self) -> float:
@@ -657,8 +633,8 @@ class MotionModel:
     def step(self, turned: Turned, disturbance: Disturbance, before: StateEstimate) -> TimeStep:
         """Return the matrices of the linear model for a step, with the angle of gravity as observation.
 
-        `before` is the state after the previous step. The observed angle is shifted by whole turns to the
-        value nearest to the predicted angle.
+        `before` is the state after the previous step, perhaps with a copy. The observed angle is shifted by
+        whole turns to the value nearest to the predicted angle.
         """
         length_s = turned.increment.length_s
         f = np.eye(SIZE)
@@ -701,7 +677,7 @@ class MotionModel:
         for k, lever in zip((LEVER_X, LEVER_Y), turned.lever_mg, strict=True):
             design[k] = per_mg * (lever * along.conjugate()).imag
         design[NOW] = design[DRIFT] = per_mg
-        predicted = float(f[ANGLE] @ before.mean) + shift[ANGLE]
+        predicted = float(f[ANGLE] @ before.mean[:SIZE]) + shift[ANGLE]
         observed = predicted + wrap_degrees(seen_deg - predicted)
         return TimeStep(f, shift, process, design, observed, per_mg**2 * disturbance.white_mg2)
 
@@ -821,21 +797,6 @@ class SmoothedAngle:
     notes: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class _Seen:
-    """A time step of the recording, with the direction of gravity reduced to a fixed attitude.
-
-    `turned` is the step itself. `level` is gravity in the plane as x − i y in mg, turned back by the gyros
-    to the attitude after the last gap. `segment` is the number of gaps before the step. `notes` are names
-    of events, as in `SmoothedAngle`.
-    """
-
-    turned: Turned
-    level: complex
-    segment: int
-    notes: tuple[str, ...]
-
-
 class AngleSmoother:
     """Estimates the angle from samples as they arrive, with a fixed delay (lag).
 
@@ -878,7 +839,7 @@ class AngleSmoother:
         self._lag = round(lag_s / step_s)
         self._back = max(2 * LEAST_STEPS, round(BACK_S / step_s))
         self._ahead = round(AHEAD_S / step_s)
-        self._seen: deque[_Seen] = deque()
+        self._seen: deque[Turned] = deque()
         self._waiting: tuple[Increment, Increment | None] | None = None
         self._stepper = Stepper(sensing)
         self._plane = PlaneWatch(step_s)
@@ -928,10 +889,9 @@ class AngleSmoother:
         by_x, by_y = turned.lever_mg
         felt = turned.gravity - by_x * float(known[LEVER_X]) - by_y * float(known[LEVER_Y])
         level = felt * complex(math.cos(self._phase_rad), -math.sin(self._phase_rad))
-        self._seen.append(_Seen(turned, level, self._segment, notes))
+        self._seen.append(replace(turned, level=level, segment=self._segment, notes=notes))
         while len(self._seen) - self._done > self._lag:
-            passed = advance(self._state, self._step_of(self._done, self._state))
-            self._state = self._doubt_calibration(passed.filtered)
+            self._state = self._doubt_calibration(self._advance(self._state, self._done))
             self._done += 1
         while self._done > self._back + 1:
             self._seen.popleft()
@@ -983,7 +943,7 @@ class AngleSmoother:
 
     def _disturbance(self, place: int) -> Disturbance:
         seen = self._seen[place]
-        if seen.turned.increment.saturated:
+        if seen.increment.saturated:
             return coloured(self._sensing.step_noise_mg2, SATURATED_MG**2, 0.9, 0.8)
         first, last = max(0, place - self._back), min(len(self._seen), place + self._ahead + 1)
         # Only steps within the lag count after it, so that the result does not depend on the blocks.
@@ -994,8 +954,8 @@ class AngleSmoother:
         level = np.array([span[k].level for k in alike])
         return disturbance_of(level, alike.index(place - first), self._sensing.step_noise_mg2)
 
-    def _step_of(self, place: int, before: StateEstimate) -> TimeStep:
-        return self._model.step(self._seen[place].turned, self._disturbance(place), before)
+    def _advance(self, state: StateEstimate, place: int) -> StateEstimate:
+        return advance(state, self._model.step(self._seen[place], self._disturbance(place), state))
 
     # -- the angle -----------------------------------------------------------------------------------
 
@@ -1006,14 +966,12 @@ class AngleSmoother:
         """
         if self._state is None or not self._done:
             return None
-        state, passed = self._state, list[Passed]()
-        # Filter through the lag with the present models, then smooth back to its beginning.
+        # Filter through the lag with the present models; the copy is the state at its beginning, smoothed.
+        state = with_copy(self._state)
         for place in range(self._done, len(self._seen)):
-            passed.append(advance(state, self._step_of(place, state)))
-            state = passed[-1].filtered
-        state = smooth_lagged(self._state, passed)
-        at = self._seen[self._done - 1].turned
-        mean, u = state.mean, np.sqrt(np.maximum(np.diag(state.covariance), 0.0))
+            state = self._advance(state, place)
+        at = self._seen[self._done - 1]
+        mean, u = state.mean[SIZE:], np.sqrt(np.maximum(np.diag(state.covariance)[SIZE:], 0.0))
         notes = tuple(name for name in _NOTES if any(name in one.notes for one in self._seen))
         drift_dps = mean[ZERO] + at.force_g @ mean[[G_X, G_Y]]
         # Standard deviation of the angle by the 1/f noise outside the state.
