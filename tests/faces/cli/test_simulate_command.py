@@ -7,8 +7,9 @@ import sys
 
 import pytest
 
-from adis_gonio import load_session, trace
+from adis_gonio import load_session
 from adis_gonio.faces.cli import main
+from adis_gonio.model.effects import parse_effect
 from adis_gonio.record.samples_writer import write_samples_csv
 from programs import running
 
@@ -79,25 +80,15 @@ def test_a_date_in_another_form_is_refused_with_the_accepted_forms(tmp_path, cap
     assert said.count("\n") == 1
 
 
-@pytest.mark.parametrize("effect", ["stage_eccentricity", "position_slip:dwell=3"])
-def test_an_effect_without_a_value_gets_a_stated_size_that_the_plan_shows(tmp_path, capsys, effect):
-    path, name = tmp_path / "planted.session", effect.partition(":")[0]
-    assert main(["simulate", "--plan", "tumble", "--effect", effect, "-o", str(path)]) == 0
+def test_an_effect_without_a_value_gets_its_typical_size_and_tells_it(tmp_path, capsys):
+    path = tmp_path / "planted.session"
+    words = ["simulate", "--plan", "two-position", "--dwell", "0.5", "-o", str(path)]
+    assert main([*words, "--effect", "stage_eccentricity"]) == 0
+    effect, values = parse_effect("stage_eccentricity")
     (line,) = (line for line in capsys.readouterr().err.splitlines() if line.startswith("effect "))
-    size = re.fullmatch(rf"effect {name}: \w+ (\d+\.\d+)°.*", line)
-    assert name in {found.effect for found in trace(path).found}
-    assert 0.05 < float(size[1]) < 0.5
-    url = load_session(path).facts["url"]
-    assert f"={size[1]}" in url  # so that the file repeats it
-
-
-@pytest.mark.parametrize(("known", "own"), [([], True), (["--set", "bias_tempco_x_mg_per_c=0"], False)])
-def test_what_the_part_has_already_is_named_beside_an_effect(tmp_path, capsys, known, own):
-    words = ["simulate", "--plan", "two-position", "--dwell", "0.5", "-o", str(tmp_path / "a.session")]
-    assert main([*words, "--effect", "bias_temperature:tempco_x=0.5", *known]) == 0
-    assert (
-        "is added to the part's own bias_temperature_x;" in " ".join(capsys.readouterr().err.split())
-    ) == own
+    assert line.startswith(f"effect stage_eccentricity: {effect.parameters[0].name} {values[0]:g}°")
+    truth = load_session(path).facts["truth"]
+    assert truth[f"stage_eccentricity.{effect.parameters[0].name}"] == values[0]
 
 
 def test_a_stated_size_of_an_effect_is_kept_and_told(tmp_path, capsys):

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 import click
 
-from adis_gonio.base.errors import DataError, FitError, UsageError
+from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.base.jsonable import json_object
-from adis_gonio.base.numbers import counted, join_words, use_minus, with_unit
+from adis_gonio.base.numbers import counted, use_minus, with_unit
 from adis_gonio.base.output import ends_in, replacing
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import print_json, report_progress, report_written, say
@@ -22,12 +21,8 @@ from adis_gonio.model.records import SENSORS, STANDARD_GRAVITY_MPS2
 
 if TYPE_CHECKING:
     from adis_gonio.base.conformity import Tolerance
-    from adis_gonio.base.uncertainty import Detectable
     from adis_gonio.plan.optimal_plan import BestPlan
     from adis_gonio.plan.prediction import Bench
-    from adis_gonio.record.plans import Plan
-    from adis_gonio.record.source import Settings
-    from adis_gonio.sim import World
 
 
 @option.command(
@@ -304,14 +299,13 @@ def simulate_command(*, output: Path, date: datetime | None, **options: Any) -> 
         **{name: options[name] for name in ("dwell_s", "rate_hz", "filter_m")}
     )
     positions = find_plan(options["plan_name"], options["positions"], options["check"])
-    options["effects"] = _sized_effects(positions, settings, **options)
+    _report_effects(options["effects"])
     with (
         tempfile.TemporaryDirectory() as folder,
         open_sensor(_simulator_url(date, **options), variant=options["variant"]) as sensor,
     ):
         archive = Path(folder) / "simulated.session" if as_csv else output
         world = sensor.bus.world  # type: ignore[attr-defined]  # the simulator's bus has one
-        _report_own_values(world)
         runner = SessionRunner.begin(
             sensor,
             archive,
@@ -336,64 +330,16 @@ def simulate_command(*, output: Path, date: datetime | None, **options: Any) -> 
     report_written(output, counted(done, "dwell"))
 
 
-def _report_own_values(world: World) -> None:
-    """Print which hidden parameters of the part add to the simulated effects."""
-    truth = world.truth()
-    for effect, values in world.effects:
-        added = [one.name for one, value in zip(effect.parameters, values, strict=True) if value]
-        names = {*added, *(f"{effect.name}_{name.rpartition('_')[2]}" for name in added)}
-        own = sorted(name for name in names if truth.get(name))
-        if own:
-            say(
-                f"effect {effect.name} is added to the part's own {join_words(own)}; --set gives these a"
-                " known value, such as 0 (--list-settings)"
-            )
-
-
-def _sized_effects(
-    plan: Plan, measuring: Settings, *, effects: tuple[str, ...], settings: tuple[str, ...], variant: str,
-    **_: Any,
-) -> tuple[str, ...]:  # fmt: skip
-    """Return each effect with the values of its parameters as text, and print the values.
-
-    `plan`, `measuring` and `variant` describe the simulated session, `settings` its world as texts
-    `name=value`, and `effects` are the effects as texts. An effect without values has its typical size, or
-    twice the size that a session with this plan shows if the typical size is smaller.
-    """
+def _report_effects(effects: Sequence[str]) -> None:
+    """Print the size of each simulated effect; an effect without values has its typical size."""
     from adis_gonio.model.effects import parse_effect
-    from adis_gonio.plan.prediction import Bench, expected_readings, predict_sight
-    from adis_gonio.sim.settings import WorldSettings
 
-    @cache
-    def shown() -> dict[str, Detectable]:
-        given = dict(text.split("=", 1) for text in settings if "=" in text)
-        fixture = option.parse_fixture(given.get("fixture_sigma_deg", str(WorldSettings.fixture_sigma_deg)))
-        try:
-            readings = expected_readings(plan, Bench(fixture, variant, settings=measuring))
-            return predict_sight(readings.training).detectable
-        except (UsageError, FitError):  # poses in space, or too few positions
-            return {}
-
-    written = []
-    for text in effects:
-        effect, values = parse_effect(text)
-        stated = {item.partition("=")[0].strip() for item in text.partition(":")[2].split(",")}
-        sizes = {
-            one.name: (float(value), one) for one, value in zip(effect.parameters, values, strict=True)
-        }
-        least = None if stated & set(sizes) else shown().get(effect.name)
-        factor = 1.0
-        if least is not None and least.amplitude is not None and sizes.get(least.parameter, (0.0,))[0]:
-            factor = max(1.0, 2 * least.amplitude / abs(sizes[least.parameter][0]))
-        texts = {
-            name: f"{value:g}" if one.shape or factor == 1 else f"{min(factor * value, one.high):.2g}"
-            for name, (value, one) in sizes.items()
-        }
-        each = (f"{name} {with_unit(use_minus(size), sizes[name][1].unit)}" for name, size in texts.items())
-        say(f"effect {effect.name}: {', '.join(each)}")
-        chosen = {name: str(getattr(effect, name)) for name in effect.choices()} | texts
-        written.append(f"{effect.name}:{','.join(f'{name}={value}' for name, value in chosen.items())}")
-    return tuple(written)
+    for effect, values in map(parse_effect, effects):
+        sizes = (
+            f"{one.name} {with_unit(use_minus(f'{value:g}'), one.unit)}"
+            for one, value in zip(effect.parameters, values.tolist(), strict=True)
+        )
+        say(f"effect {effect.name}: {', '.join(sizes)}")
 
 
 def _simulate_twin(path: Path, output: Path, seed: int) -> None:
