@@ -10,8 +10,14 @@ import math
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.fitting.slips.position_evidence import KnownFaults, Whitened
-from adis_gonio.fitting.slips.position_model import Angles, Name, Pattern, patterns_of
+from adis_gonio.fitting.slips.position_model import (
+    Angles,
+    KnownFaults,
+    Name,
+    Pattern,
+    Whitened,
+    patterns_of,
+)
 from adis_gonio.fitting.slips.session_positions import CERTAIN, search_faults
 
 POWER = 0.99

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from adis_gonio.base.uncertainty import Value
-from adis_gonio.fleet.control_charts import CUSUM_H, control_chart, cusum, drift_of
 from adis_gonio.fleet.fleet_summary import summarise
+from adis_gonio.fleet.sensor_history import CUSUM_H, control_chart, cusum, drift_of
 from adis_gonio.fleet.session_record import SessionRecord
 from adis_gonio.fleet.store import Store
 

@@ -122,7 +122,7 @@ def segmenting(samples: int) -> list[Row]:
 
 def rows_of_results(count: int) -> list[dict[str, Any]]:
     """Rows of a fleet: units with a history, stages, operators, random effects, one file in 500 broken."""
-    from adis_gonio.fleet.session_table import COLUMNS
+    from adis_gonio.fleet.session_record import COLUMNS
 
     rng = np.random.default_rng(2)
     numbers = [name for name, (kind, *_) in COLUMNS.items() if kind == "number"]

@@ -13,8 +13,7 @@ import numpy as np
 from adis_gonio.base.budget import Budget, within
 from adis_gonio.fleet.fleet_run import Fleet, run_fleet, session_files
 from adis_gonio.fleet.fleet_summary import summarise
-from adis_gonio.fleet.session_record import Options
-from adis_gonio.fleet.session_table import COLUMNS
+from adis_gonio.fleet.session_record import COLUMNS, Options
 from adis_gonio.fleet.store import IN_MEMORY, Store
 from adis_gonio.fleet.workers import LocalPool, cores
 from results.section import Effort, Section

@@ -268,11 +268,9 @@ def test_nonsense_is_a_usage_error_that_names_what_is_open_and_the_question_stan
 
 def test_what_is_shown_while_a_session_runs_costs_no_comparison_of_methods(sensor, path, monkeypatch):
     """Each dwell left out once, for each method, belongs to the end: it would grow with the square."""
-    from adis_gonio.fitting import method_comparison
+    from adis_gonio.fitting import answer
 
-    monkeypatch.setattr(
-        method_comparison, "compare_methods", lambda session: pytest.fail("methods were compared")
-    )
+    monkeypatch.setattr(answer, "compare_methods", lambda session: pytest.fail("methods were compared"))
     running = of(list(SessionRunner.begin(sensor, path, plan("mmpm"), QUICK, auto=True).run()), Running)
     assert running[-1].dwells == 9
     assert {"value", "u", "unit"} <= set(running[-1].parameters["delta_phi"])

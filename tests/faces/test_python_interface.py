@@ -107,7 +107,7 @@ def test_a_matrix_without_an_inverse_is_an_error_of_the_fit(call, session, monke
     def fail(*_: object, **__: object) -> None:
         raise np.linalg.LinAlgError("Singular matrix")
 
-    for name in ("adis_gonio.fitting.noise_estimation.determine", "adis_gonio.tracing.trace.search_model"):
+    for name in ("adis_gonio.fitting.determination.determine", "adis_gonio.tracing.trace.search_model"):
         monkeypatch.setattr(name, fail)
     with pytest.raises(FitError, match=r"session: no fit is possible .*Singular matrix.*check the times"):
         call(replace(session, source=""))
@@ -117,6 +117,6 @@ def test_so_is_one_that_comes_with_the_comparison_of_methods(result, monkeypatch
     def fail(*_: object, **__: object) -> None:
         raise np.linalg.LinAlgError("Singular matrix")
 
-    monkeypatch.setattr("adis_gonio.fitting.method_comparison.compare_methods", fail)
+    monkeypatch.setattr("adis_gonio.fitting.answer.compare_methods", fail)
     with pytest.raises(FitError, match="no fit is possible"):
         replace(result).as_dict()

@@ -14,7 +14,7 @@ from adis_gonio import fit
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import SingularError
 from adis_gonio.fitting.linked import LinkReport
-from adis_gonio.fitting.maximum_likelihood import advise_positions
+from adis_gonio.fitting.methods import advise_positions
 from adis_gonio.model.measurement import sensitivity
 from adis_gonio.model.records import Dwell, Session
 from fitting.test_uncertainty import FOUR, turn

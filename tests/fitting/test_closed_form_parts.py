@@ -12,6 +12,7 @@ import pytest
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import FitError, SingularError
 from adis_gonio.fitting import methods as module
+from adis_gonio.fitting.determination import NoiseAssumptions
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, Unit, from_means, in_mg
 from adis_gonio.fitting.fit_result import Origin
@@ -27,7 +28,6 @@ from adis_gonio.fitting.methods import (
     rows_at,
     turn_parameters,
 )
-from adis_gonio.fitting.noise_estimation import NoiseAssumptions
 from adis_gonio.fitting.uncertainty import ShownAngle, gradient_of_base
 from adis_gonio.model.effects import Conditions
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.fitting.fit_result import Estimate, FitResult
-from adis_gonio.fitting.method_comparison import (
+from adis_gonio.fitting.answer import (
     DwellPrediction,
     Recommendation,
     Score,
@@ -17,6 +16,7 @@ from adis_gonio.fitting.method_comparison import (
     recommend,
     scores_of,
 )
+from adis_gonio.fitting.fit_result import Estimate, FitResult
 
 
 def result(method: str, u: float | None = 1.0, *, bias: bool = True, other: float = 1.0) -> FitResult:

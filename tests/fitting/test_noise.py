@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from adis_gonio import fit, trace
-from adis_gonio.fitting.noise_estimation import NoiseAssumptions, scale_at_dof
+from adis_gonio.fitting.determination import NoiseAssumptions, scale_at_dof
 from fitting.test_uncertainty import NINE, turn
 
 

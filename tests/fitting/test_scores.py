@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from adis_gonio.base.errors import FitError
 from adis_gonio.fitting import fit, fit_readings
-from adis_gonio.fitting.method_comparison import (
+from adis_gonio.fitting.answer import (
     DwellPrediction,
     Score,
     held_out_groups,

@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 from adis_gonio.base.arrays import Floats
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting import determination as seen, linked, uncertainty as module
+from adis_gonio.fitting.determination import NoiseAssumptions, chi2_quantile
 from adis_gonio.fitting.estimation.links import Links
 from adis_gonio.fitting.estimation.readings import Readings, from_means
-from adis_gonio.fitting.noise_estimation import NoiseAssumptions, chi2_quantile
 from adis_gonio.model.effects import Conditions
 
 RNG = np.random.default_rng(7)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from adis_gonio.fleet.session_table import COLUMNS
+from adis_gonio.fleet.session_record import COLUMNS
 
 POSITIONS = 4
 G_MG = 1000.0

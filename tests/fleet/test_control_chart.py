@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from adis_gonio.fleet.control_charts import between_neighbours, control_chart, cusum
+from adis_gonio.fleet.sensor_history import between_neighbours, control_chart, cusum
 
 # Montgomery, Introduction to Statistical Quality Control, table 9.3 (two-sided, k = 1/2, h = 5).
 PUBLISHED = {0.0: 465, 1.0: 10.4}

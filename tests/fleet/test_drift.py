@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from adis_gonio.fleet.control_charts import drift_of
+from adis_gonio.fleet.sensor_history import drift_of
 
 
 def test_without_scatter_between_sessions_it_is_the_weighted_line_of_polyfit():

@@ -12,10 +12,8 @@ from scipy.stats import binom, fisher_exact
 
 from adis_gonio.base.uncertainty import OUTLYING, wilson
 from adis_gonio.fleet.fleet_pages import build_page
-from adis_gonio.fleet.fleet_statistics import by_share
-from adis_gonio.fleet.fleet_summary import summarise
-from adis_gonio.fleet.session_record import SessionRecord
-from adis_gonio.fleet.session_table import COLUMNS, write_parquet
+from adis_gonio.fleet.fleet_summary import by_share, summarise
+from adis_gonio.fleet.session_record import COLUMNS, SessionRecord, write_parquet
 from fleet.sessions import quiet_rows, row
 
 

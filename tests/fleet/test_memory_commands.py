@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.faces.cli import main
-from adis_gonio.fleet.control_charts import drift_of
-from adis_gonio.fleet.sensor_history import Track, drift_sentences
+from adis_gonio.fleet.sensor_history import Track, drift_of, drift_sentences
 from adis_gonio.fleet.session_record import record_of
 from fleet.recorded import recorded
 

@@ -9,8 +9,7 @@ import pytest
 
 import adis_gonio
 from adis_gonio.fitting.answer import Answer
-from adis_gonio.fleet.session_record import SessionRecord, record_of
-from adis_gonio.fleet.session_table import COLUMNS
+from adis_gonio.fleet.session_record import COLUMNS, SessionRecord, record_of
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.samples_writer import write_samples_csv
 from adis_gonio.tracing.traced_answer import answer_with_trace

@@ -18,11 +18,10 @@ from adis_gonio.base.numbers import counted
 from adis_gonio.base.tables import Entries, ParameterTable
 from adis_gonio.base.uncertainty import Value, factor_over
 from adis_gonio.calibrate.calibration import Calibration, Coefficient
-from adis_gonio.fitting.determination import LIMIT, Determination, is_determined, names_of
+from adis_gonio.fitting.determination import LIMIT, Determination, NoiseAssumptions, is_determined, names_of
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.linked import LinkReport
-from adis_gonio.fitting.noise_estimation import NoiseAssumptions
 from adis_gonio.fitting.slips import PositionFinding
 from adis_gonio.fitting.slips.session_positions import listed
 from adis_gonio.fitting.uncertainty import FIXTURE, BudgetRow, ShownAngle, Sources, budget_of
@@ -33,7 +32,7 @@ from adis_gonio.record.provenance import Provenance
 from adis_gonio.record.write_journal import INTERRUPTED
 
 if TYPE_CHECKING:
-    from adis_gonio.fitting.method_comparison import MethodComparison
+    from adis_gonio.fitting.answer import MethodComparison
 
 
 @dataclass(frozen=True)
@@ -199,7 +198,7 @@ class FitResult(ParameterTable):
 
         None if the result was not made from a session.
         """
-        from adis_gonio.fitting.method_comparison import compare_methods
+        from adis_gonio.fitting.answer import compare_methods
 
         if self.session is None:
             return None

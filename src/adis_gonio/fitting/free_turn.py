@@ -46,9 +46,9 @@ from adis_gonio.base.numbers import counted
 from adis_gonio.base.uncertainty import Value, factor_over
 from adis_gonio.calibrate.calibration import independent_changes
 from adis_gonio.device.sensor.registers import VARIANTS
+from adis_gonio.fitting.answer import MethodComparison, Recommendation, Score
 from adis_gonio.fitting.estimation.readings import mg_per_unit
 from adis_gonio.fitting.fit_result import FitResult, Output, estimates
-from adis_gonio.fitting.method_comparison import MethodComparison, Recommendation, Score
 from adis_gonio.fitting.uncertainty import BudgetRow, Kind, Source, Sources, budget_of, gradient_of_base
 from adis_gonio.model.measurement import SENSOR_SPREAD
 from adis_gonio.model.records import MG_PER_MPS2, STANDARD_GRAVITY_MPS2, Session, Sweeps

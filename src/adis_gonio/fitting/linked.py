@@ -38,13 +38,13 @@ from adis_gonio.base.uncertainty import LINK_REFUSED
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration, sensitivity_of
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting import determination
+from adis_gonio.fitting.determination import chi2_quantile, settle
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.links import Links
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.estimation.spectrum import covariance_of_means
 from adis_gonio.fitting.gyros import turn_integration
 from adis_gonio.fitting.gyros.gyro_readings import GyroDwells, gyro_dwells_of, measured_turn
-from adis_gonio.fitting.noise_estimation import chi2_quantile, settle
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.records import Session, Turn
 

@@ -33,10 +33,10 @@ from adis_gonio.base.jsonable import JsonRecord, key
 from adis_gonio.base.numbers import format_span
 from adis_gonio.base.uncertainty import effective_dof
 from adis_gonio.device.sensor.registers import VARIANTS
+from adis_gonio.fitting.determination import NoiseAssumptions
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import typical_terms
-from adis_gonio.fitting.noise_estimation import NoiseAssumptions
 from adis_gonio.model.effects import Enters
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 

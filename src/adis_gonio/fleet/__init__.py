@@ -12,8 +12,7 @@ _HOMES = {
     "population_trace": "trace_population",
     "sensor_history": "history_of",
     "session_evidence": "SessionEvidence evidence_of",
-    "session_record": "Options SessionRecord record_of",
-    "session_table": "write_parquet",
+    "session_record": "Options SessionRecord record_of write_parquet",
     "store": "Store",
     "workers": "Cluster LocalPool",
 }

@@ -33,8 +33,7 @@ from adis_gonio.base.conformity import ErrorCurve, Tolerance, Verdict
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import INLINE, JsonRecord, key
 from adis_gonio.base.numbers import NAMES, counted, format_uncertain
-from adis_gonio.fleet.control_charts import LEAST, YEAR_DAYS, Drift
-from adis_gonio.fleet.sensor_history import History, date_of, own_u
+from adis_gonio.fleet.sensor_history import LEAST, YEAR_DAYS, Drift, History, date_of, own_u
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 PARAMETERS = ("delta_k", "delta_phi", "bias_x", "bias_y")

@@ -9,10 +9,8 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.numbers import NAMES, counted, format_percent, label_quantity
 from adis_gonio.fleet import fleet_summary, sensor_history
-from adis_gonio.fleet.control_charts import YEAR_DAYS
-from adis_gonio.fleet.fleet_statistics import Distribution
-from adis_gonio.fleet.fleet_summary import GROUPS, Summary
-from adis_gonio.fleet.sensor_history import History, Track
+from adis_gonio.fleet.fleet_summary import GROUPS, Distribution, Summary
+from adis_gonio.fleet.sensor_history import YEAR_DAYS, History, Track
 from adis_gonio.fleet.session_record import Repeated
 from adis_gonio.page.document import Figure, KeyFigure, Section, Series, Table, plot, render
 

@@ -113,7 +113,7 @@ class Fleet:
 
     @cached_property
     def rows(self) -> list[dict[str, Any]]:
-        """Rows of the table of the fleet, one per session, with the columns `session_table.COLUMNS`."""
+        """Rows of the table of the fleet, one per session, with the columns `session_record.COLUMNS`."""
         return [record.row() for record in self.records]
 
     @cached_property
@@ -166,7 +166,7 @@ class Fleet:
         """
         with replacing(path) as temporary:
             if path.suffix.lower() == ".parquet":
-                from adis_gonio.fleet.session_table import write_parquet
+                from adis_gonio.fleet.session_record import write_parquet
 
                 about = {"software": f"adis-gonio {__version__}", "options": self.options.as_dict()}
                 write_parquet(self.rows, temporary, about)
@@ -196,7 +196,7 @@ def check_outputs(paths: Sequence[Path], files: Sequence[str]) -> None:
         if str(path) in files:
             raise UsageError(f"{path}: is one of the sessions; name another file")
         if path.suffix.lower() == ".parquet":
-            from adis_gonio.fleet.session_table import require_pyarrow
+            from adis_gonio.fleet.session_record import require_pyarrow
 
             require_pyarrow()
         elif path.suffix.lower() == ".html":

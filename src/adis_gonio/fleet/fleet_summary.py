@@ -1,17 +1,29 @@
-"""Summary of a fleet, computed column by column to be quick: parameters, effects, outlying groups."""
+"""Summary of a fleet, computed column by column to be quick: parameters, effects, outlying groups.
+
+A *unit* is one sensor, known by its serial number. It is compared with the other units by a robust z: its
+distance from the median of the units, divided by the distance that scatter and its own u explain. A *stage*
+or an *operator* is compared by ranks (normal scores) of a quantity over its units, and by the number of
+units with an effect (hypergeometric distribution). All tests of a fleet share one probability of naming a
+group by chance (Bonferroni). The most outlying group is named and removed before the others are compared.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.optimize import brentq
+from scipy.special import ndtr, ndtri, stdtr
+from scipy.stats import hypergeom, rankdata
 
 from adis_gonio.base import __version__
-from adis_gonio.base.arrays import Floats
-from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.base.arrays import MAD_TO_SD, Floats, robust_sd
+from adis_gonio.base.jsonable import HIDDEN, JsonRecord
 from adis_gonio.base.numbers import (
     NAMES,
     count_decimals,
@@ -24,21 +36,323 @@ from adis_gonio.base.numbers import (
     with_unit,
 )
 from adis_gonio.base.uncertainty import OUTLYING, wilson
-from adis_gonio.fleet.fleet_statistics import (
-    FEWEST,
-    FEWEST_UNITS,
-    Codes,
-    Distribution,
-    FamilyOfTests,
-    Test,
-    by_rank,
-    by_share,
-    by_unit,
-    outlying,
-    unshared_u,
-)
-from adis_gonio.fleet.session_record import QUANTITIES
-from adis_gonio.fleet.session_table import Row, Table, table_of
+from adis_gonio.fleet.session_record import QUANTITIES, Row, Table, table_of
+
+PROBABILITIES = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
+
+_LEAST_SHARE = 1e-6
+"""Smallest share of the variance of a value that is taken as not shared by sessions on one stage."""
+
+
+def unshared_u(u: Floats, curves: Iterable[str], influence: Iterable[Sequence[float]]) -> Floats:
+    """Return the standard uncertainties (n,) of the values of n sessions without the part that all share.
+
+    They apply to differences between the sessions. `u` (n,) are the full standard uncertainties. A part is
+    shared if all sessions have the certificate of one stage: `curves` (n,) are digests of the certificates,
+    `influence` (n, k) the change of each value by one standard uncertainty of each of the k independent
+    errors of the certificate. Otherwise `u` is returned unchanged.
+    """
+    if len(set(curves)) > 1 or not all(map(len, influence)):
+        return u
+    moves = np.array(list(influence), dtype=float)  # (n, k)
+    common = moves.mean(axis=0)
+    variance = u**2 - (moves**2).sum(axis=1) + ((moves - common) ** 2).sum(axis=1)
+    return np.asarray(np.sqrt(np.maximum(variance, _LEAST_SHARE * u**2)))
+
+
+class Distribution(JsonRecord):
+    """Statistics of the values of one quantity over the fleet.
+
+    The JSON document is one value of `parameters`.
+
+    Attributes
+    ----------
+    name, unit : str
+        Name and unit of the quantity.
+    n : int
+        Number of sessions with the quantity.
+    mean, sd, robust_sd : float
+        Mean, standard deviation (NaN for one value), and standard deviation from the median absolute
+        deviation.
+    quantiles : mapping of str to float
+        Quantiles by probability in percent, such as `50`.
+    low, high : float
+        Smallest and largest value.
+    """
+
+    name: str = field(metadata=HIDDEN)
+    unit: str
+    n: int
+    mean: float
+    sd: float
+    robust_sd: float
+    quantiles: dict[str, float]
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, name: str, unit: str, values: Floats) -> Distribution:
+        """Compute the statistics of values (n,), NaN if unknown; at least one is finite."""
+        values = values[np.isfinite(values)]
+        probable = np.quantile(values, PROBABILITIES)
+        quantiles = {f"{100 * p:g}": float(q) for p, q in zip(PROBABILITIES, probable, strict=True)}
+        sd = float(values.std(ddof=1)) if len(values) > 1 else math.nan
+        ends = float(values.min()), float(values.max())
+        return cls(name, unit, len(values), float(values.mean()), sd, robust_sd(values), quantiles, *ends)
+
+
+FEWEST_UNITS = 5
+"""Smallest number of sensors in a fleet for a test for outlying sensors."""
+FEWEST = 3
+"""Smallest number of sessions or sensors that a group, and the rest of the fleet, must have for a test."""
+_MAD_EFFICIENCY = 0.37
+"""Efficiency of the median absolute deviation, compared with the standard deviation.
+
+A robust z of n values has the tails of Student's distribution with about this factor times n − 1 degrees of
+freedom.
+"""
+
+Codes = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Test:
+    """Comparison of one group of sessions with the others for one quantity.
+
+    Attributes
+    ----------
+    kind : str
+        `unit`, `stage` or `operator`.
+    code : int
+        Number of the tested group (sensor, stage or operator).
+    quantity : str
+        Name of the compared parameter, or `effect NAME`.
+    z : float
+        Robust z of the group (sensors), or the normal deviate that corresponds to the p-value.
+    p_value : float
+        Probability of at least this difference by chance: two-sided for parameters, one-sided (as many or
+        more) for effects.
+    value, others : float
+        Median of the parameter in the group and in the others; for an effect the share of sessions or
+        sensors that show it.
+    n : int
+        Number of sessions of the unit, or of units of the stage or operator.
+    """
+
+    kind: str
+    code: int
+    quantity: str
+    z: float
+    p_value: float
+    value: float
+    others: float
+    n: int
+
+
+@dataclass(frozen=True)
+class FamilyOfTests:
+    """Tests of all groups of one kind (sensors, stages or operators) for one quantity.
+
+    Attributes
+    ----------
+    count : int
+        Number of tests.
+    find : callable
+        Function that takes a significance level and returns the tests with a p-value below this level.
+    """
+
+    count: int
+    find: Callable[[float], list[Test]]
+
+
+def outlying(comparisons: Sequence[FamilyOfTests]) -> tuple[int, list[Test]]:
+    """Count all tests, and list the significant tests, the smallest p-value first.
+
+    The probability that any of all tests is significant by chance is at most 1 % (`OUTLYING`). Each entry
+    of `comparisons` has the tests of one kind of group for one quantity.
+    """
+    total = sum(one.count for one in comparisons)
+    passed = [test for one in comparisons if one.count for test in one.find(OUTLYING / total)]
+    return total, sorted(
+        passed, key=lambda test: (test.p_value, -abs(test.z), test.kind, test.quantity, test.code)
+    )
+
+
+def by_unit(quantity: str, values: Floats, u: Floats, unit: Codes) -> FamilyOfTests:
+    """Test every sensor (by its serial number) against all sensors, by the median of its sessions.
+
+    Parameters
+    ----------
+    quantity : str
+        Name of the quantity.
+    values, u, unit : (n,)
+        Value of the quantity, its standard uncertainty, and the sensor of each session. `unit` is the
+        number of the sensor; a session with a negative number (unknown) counts as a separate sensor.
+    """
+    good = np.isfinite(values)
+    codes = _own(unit)[good]
+    names, index, count = np.unique(codes, return_inverse=True, return_counts=True)
+
+    def find(level: float) -> list[Test]:
+        # One value per unit, with the root mean square of its u.
+        median = _medians(values[good], index)
+        # Sessions of a unit may share their error, so its u is not reduced by their number.
+        doubt = np.sqrt(np.bincount(index, np.nan_to_num(u[good]) ** 2) / count)
+        z, centre = robust_z(median, doubt)
+        p = 2 * stdtr(_MAD_EFFICIENCY * (len(names) - 1), -np.abs(z))
+        return [
+            Test("unit", int(names[k]), quantity, z[k], p[k], median[k], centre, int(count[k]))
+            for k in np.flatnonzero(p < level)
+        ]
+
+    return FamilyOfTests(len(names) if len(names) >= FEWEST_UNITS else 0, find)
+
+
+def robust_z(values: Floats, u: Floats) -> tuple[Floats, float]:
+    """Return the robust z (n,) of values, and their median.
+
+    z is the distance of each value from the median divided by √(τ² + u²), with the standard uncertainties
+    `u` (n,). The scatter τ is chosen so that the median of |z| is 0.67, as in a normal distribution. It is
+    practically 0 if u alone explains the distances.
+    """
+    centre = float(np.median(values))
+    away = np.abs(values - centre)
+
+    def unusual(tau: float) -> float:
+        return float(np.median(away / np.sqrt(tau**2 + u**2))) - 1 / MAD_TO_SD
+
+    # τ is at most the robust scatter without any u.
+    most = robust_sd(values)
+    least = 1e-6 * most
+    if most == 0.0:
+        tau = 0.0
+    elif unusual(least) <= 0:
+        tau = least
+    else:
+        tau = float(brentq(unusual, least, 1.001 * most))
+    scale = np.sqrt(tau**2 + u**2)
+    return np.divide(values - centre, scale, out=np.zeros_like(values), where=scale > 0), centre
+
+
+def by_rank(kind: str, quantity: str, values: Floats, group: Codes, unit: Codes) -> FamilyOfTests:
+    """Test each stage or operator against the others, by the ranks of the medians of its sensors.
+
+    `kind` is `stage` or `operator`; `values`, `group` and `unit` are (n,): value of the quantity in each
+    session, number of the group (negative if unknown), and number of the sensor.
+    """
+    good = np.isfinite(values) & (group >= 0)
+    x, code = _by_unit(values[good], group[good], _own(unit)[good])
+    return _stepwise(kind, quantity, x, code, _normal_scores, np.median)
+
+
+def by_share(kind: str, effect: str, found: Flags, group: Codes, unit: Codes) -> FamilyOfTests:
+    """Test every group by the number of its sensors with an effect in at least half of their sessions.
+
+    If `kind` is `unit`, the sessions of each sensor are counted instead. `found` (n,) is True for a session
+    that shows the effect; `group` (n,) and `unit` (n,) are the numbers of its group and its sensor,
+    negative if unknown.
+    """
+    good = group >= 0
+    shown, code = found[good].astype(float), group[good]
+    if kind != "unit":
+        shown, code = _by_unit(shown, code, _own(unit)[good])
+        shown = (shown >= 0.5).astype(float)
+    return _stepwise(kind, f"effect {effect}", shown, code, _hypergeometric, np.mean)
+
+
+def _own(unit: Codes) -> Codes:
+    """Replace negative (unknown) sensor numbers by different ones: each such session is one sensor."""
+    return np.where(unit >= 0, unit, -1 - np.arange(len(unit)))
+
+
+def _by_unit(values: Floats, group: Codes, unit: Codes) -> tuple[Floats, Codes]:
+    """Return the median of the values of each sensor in each group (m,), and the group of each median (m,).
+
+    Many sessions of a sensor therefore count as one value. `values`, `group` and `unit` are (n,): the value
+    of each session, and the numbers of its group and its sensor.
+    """
+    if not len(values):
+        return values, group
+    # Every pair of group and unit is one value.
+    pairs, index = np.unique(np.stack([group, unit]), axis=1, return_inverse=True)
+    return _medians(values, np.asarray(index).ravel()), pairs[0]
+
+
+def _medians(values: Floats, index: Codes) -> Floats:
+    """Return the median of the values (n,) of each group; `index` (n,) numbers the groups from 0.
+
+    The numbers have no gaps.
+    """
+    return np.asarray(ndimage.median(values, index, np.arange(index.max() + 1)))
+
+
+def _normal_scores(values: Floats, index: Codes, count: Codes) -> tuple[Floats, Floats]:
+    """Return z and two-sided p-value of each group by Van der Waerden's test against the rest.
+
+    `index` (n,) is the group of each value, `count` the number of values of each group.
+    """
+    n = len(values)
+    score = ndtri(rankdata(values) / (n + 1))
+    score -= score.mean()
+    # Variance of the sum of `count` scores drawn without replacement.
+    variance = count * (n - count) / (n * (n - 1)) * float(score @ score)
+    z = np.divide(
+        np.bincount(index, score), np.sqrt(variance), out=np.zeros(len(count)), where=variance > 0
+    )
+    return z, 2 * ndtr(-np.abs(z))
+
+
+def _hypergeometric(values: Floats, index: Codes, count: Codes) -> tuple[Floats, Floats]:
+    """Test if a group has more members with an effect than the rest, by the hypergeometric distribution.
+
+    `values` (n,) is 1 for a member with the effect, `index` (n,) its group, `count` the size of each group.
+    Returns, for each group, the normal deviate and the probability of as many members or more by chance.
+    """
+    here = np.bincount(index, values)
+    p = np.minimum(hypergeom.sf(here - 1, len(values), int(values.sum()), count), 1.0)
+    return -ndtri(np.maximum(p, 1e-300)), p
+
+
+def _stepwise(
+    kind: str,
+    quantity: str,
+    values: Floats,
+    code: Codes,
+    score: Callable[[Floats, Codes, Codes], tuple[Floats, Floats]],
+    middle: Callable[[Floats], Any],
+) -> FamilyOfTests:
+    """Test each group against the rest, remove the most outlying group, and repeat without it.
+
+    `values` (n,) are compared by their group `code` (n,). `score` returns z and p-value of each group,
+    `middle` the figure that is reported for the values of a group, such as their median. `kind` and
+    `quantity` name the kind of group and the compared quantity.
+    """
+
+    def find(level: float) -> list[Test]:
+        x, groups = values, code
+        tests: list[Test] = []
+        while True:
+            names, index, count = np.unique(groups, return_inverse=True, return_counts=True)
+            able = _able(count)
+            if not able.any():
+                return tests
+            z, p = score(x, index, count)
+            # Of two groups that differ only from each other, the smaller one is the outlier.
+            k = int(np.lexsort((names, count, np.where(able, p, 2.0)))[0])
+            if not p[k] < level:
+                return tests
+            own = index == k
+            middles = float(middle(x[own])), float(middle(x[~own]))
+            tests.append(Test(kind, int(names[k]), quantity, z[k], p[k], *middles, int(count[k])))
+            x, groups = x[~own], groups[~own]
+
+    return FamilyOfTests(int(_able(np.unique(code, return_counts=True)[1]).sum()), find)
+
+
+def _able(count: Codes) -> Flags:
+    return np.asarray((count >= FEWEST) & (count.sum() - count >= FEWEST))
+
 
 FORMAT = "adis-gonio fleet summary 1"
 KINDS = ("unit", "stage", "operator")
@@ -158,7 +472,7 @@ class Summary:
 def summarise(rows: Sequence[Row]) -> Summary:
     """Summarise the fleet with the sessions in rows, in any order.
 
-    Each row has the columns `session_table.COLUMNS`.
+    Each row has the columns `session_record.COLUMNS`.
     """
     table = table_of(rows)
     ok = table["status"] == "ok"

@@ -9,7 +9,7 @@ import numpy as np
 from adis_gonio.base import numbers
 from adis_gonio.base.errors import AdisGonioError, DataError
 from adis_gonio.device.sensor.registers import VARIANTS
-from adis_gonio.fitting.allan import AllanResult, AxisNoise, allan_result, fit_allan
+from adis_gonio.fitting.allan import AllanResult, AxisNoise, allan_fit, fit_allan
 from adis_gonio.fitting.gyros.gyro_fit import GyroFit, fit_gyro, gains_in
 from adis_gonio.handover.register_offsets import gyro_offset_words
 from adis_gonio.model.records import Session
@@ -126,7 +126,7 @@ def allan_page(result: AllanResult) -> str:
     whole = section_of(result)
     return render(
         "Noise at rest",
-        f"{allan_result.PARTS[result.part]} of {name}",
+        f"{allan_fit.PARTS[result.part]} of {name}",
         shape=result.sensor,
         simulated=result.simulated,
         sections=[replace(whole, title="Recording", parts=()), *whole.parts],
@@ -150,8 +150,8 @@ def noise_section(session: Session) -> Section | None:
 def section_of(result: AllanResult) -> Section:
     """Return a section with the content of `allan_page`, for another page."""
     return Section(
-        f"Noise of the {allan_result.PARTS[result.part]} at rest",
-        words=(f"{allan_result.headline(result)}.",),
+        f"Noise of the {allan_fit.PARTS[result.part]} at rest",
+        words=(f"{allan_fit.headline(result)}.",),
         notes=[
             *result.notes,
             "The coefficients follow IEEE Std 952-1997, Annex C; the bias instability is the floor of the"
@@ -168,17 +168,15 @@ def _section(result: AllanResult, axis: AxisNoise) -> Section:
     absent: list[str] = []
     for parameter in axis.parameters:
         if parameter.present:
-            rows.append(allan_result.cells(parameter))
+            rows.append(allan_fit.cells(parameter))
         elif parameter.kind != "quantization":
             unit = numbers.format_unit(parameter.unit)
-            absent.append(
-                f"{allan_result.name_shown(parameter)} / {unit}: {allan_result.missing(parameter)}"
-            )
+            absent.append(f"{allan_fit.name_shown(parameter)} / {unit}: {allan_fit.missing(parameter)}")
     return Section(
         f"{axis.axis.upper()}",
         points=[*absent, *axis.notes],
         figures=(_figure(result, axis),),
-        tables=(Table(("noise", *allan_result.HEAD[1:]), rows, numeric=(1, 2, 3, 4)),),
+        tables=(Table(("noise", *allan_fit.HEAD[1:]), rows, numeric=(1, 2, 3, 4)),),
     )
 
 

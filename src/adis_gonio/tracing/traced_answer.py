@@ -13,19 +13,20 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.conformity import ErrorCurve
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.uncertainty import Value, factor_over
-from adis_gonio.fitting.answer import Answer, with_notes
-from adis_gonio.fitting.estimation.fit import Fit
-from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.fitting.fit_result import FitResult, outputs_of
-from adis_gonio.fitting.method_comparison import (
+from adis_gonio.fitting.answer import (
+    Answer,
     DwellPrediction,
     Recommendation,
     Score,
     predicted,
     predicts_worse,
     scores_of,
+    with_notes,
 )
-from adis_gonio.fitting.noise_estimation import NoiseAssumptions
+from adis_gonio.fitting.determination import NoiseAssumptions
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.fit_result import FitResult, outputs_of
 from adis_gonio.fitting.uncertainty import MODEL, BudgetRow, ShownAngle, budget_of, response_of, sources_of
 from adis_gonio.tracing.trace_result import TraceResult
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from adis_gonio.base.conformity import Tolerance
     from adis_gonio.base.uncertainty import Value
-    from adis_gonio.fitting.allan.allan_result import Part
+    from adis_gonio.fitting.allan.allan_fit import Part
     from adis_gonio.fitting.answer import Answer
     from adis_gonio.fitting.monte_carlo import MonteCarlo
     from adis_gonio.model.records import Session

@@ -1,7 +1,6 @@
 """Noise of a sensor at rest: random walks, bias instability, quantization, with u, and the Allan plot."""
 
-from adis_gonio.fitting.allan.allan_fit import fit_allan
-from adis_gonio.fitting.allan.allan_result import AllanResult, AxisNoise, NoiseParameter
+from adis_gonio.fitting.allan.allan_fit import AllanResult, AxisNoise, NoiseParameter, fit_allan
 from adis_gonio.fitting.allan.spectral_likelihood import AllanCurve, overlapping
 
 __all__ = ["AllanCurve", "AllanResult", "AxisNoise", "NoiseParameter", "fit_allan", "overlapping"]

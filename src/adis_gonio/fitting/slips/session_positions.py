@@ -22,26 +22,24 @@ from adis_gonio.base.uncertainty import CREDIBLE_SET, NORMAL_95, Value
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.gyros import turn_integration
 from adis_gonio.fitting.gyros.gyro_readings import GyroDwells, gyro_dwells_of
-from adis_gonio.fitting.slips.position_evidence import (
-    KnownFaults,
-    ScatterPoint,
-    Weighed,
-    Whitened,
-    scatters,
-    weigh,
-)
 from adis_gonio.fitting.slips.position_model import (
     ACCUSED,
     BASE,
     Angles,
     Increments,
+    KnownFaults,
     Name,
     Pattern,
     Rows,
+    ScatterPoint,
+    Weighed,
+    Whitened,
     calibrate_by_length,
     patterns_of,
     possible_entries,
     rows_at,
+    scatters,
+    weigh,
 )
 from adis_gonio.model.records import Session
 
