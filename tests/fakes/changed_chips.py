@@ -43,7 +43,6 @@ from adis_gonio.device.sensor.registers import (
     ACCEL_OUT,
     BY_ADDRESS,
     BY_NAME,
-    EA,
     GYRO_OFF,
     GYRO_OUT,
     ND,
@@ -51,7 +50,6 @@ from adis_gonio.device.sensor.registers import (
 from adis_gonio.device.sensor.settings import Alarm
 from adis_gonio.sim import SimBus, SimulatedChip, World, WorldSettings, sampling
 from adis_gonio.sim.chip import State
-from adis_gonio.sim.memory import Memory
 from adis_gonio.sim.sampling import ACCEL_COLUMNS, ALARM_BITS, GYRO_COLUMNS, SignalChain
 
 # -- words on the wire -----------------------------------------------------------------------------------
@@ -119,71 +117,7 @@ class OffsetsOnes(SimulatedChip):
         return word | ~row.data_mask & 0xFFFF if row is not None and row.signed else word
 
 
-class _OtherMemory(SimulatedChip):
-    memory_kind = Memory
-
-    def __init__(self, *args, **options):
-        super().__init__(*args, **options)
-        self._memory.__class__ = self.memory_kind
-
-
-class ClearingMemory(Memory):
-    """A write of one byte clears the other."""
-
-    def write_byte(self, address, data):
-        row = BY_ADDRESS.get(address & ~1)
-        if row is not None and row.writable and row.readable:
-            self[row.name] = 0
-        return super().write_byte(address, data)
-
-
-class WriteClears(_OtherMemory):
-    memory_kind = ClearingMemory
-
-
-class LatchingMemory(Memory):
-    """The low byte waits until the high byte is written."""
-
-    def write_byte(self, address, data):
-        row = BY_ADDRESS.get(address & ~1)
-        waiting = self.__dict__.setdefault("waiting", {})
-        if row is None or not row.writable or not row.readable or not row.write_mask >> 8:
-            return super().write_byte(address, data)
-        if not address & 1:
-            waiting[row.name] = data
-            return row
-        if row.name in waiting:
-            super().write_byte(address & ~1, waiting.pop(row.name))
-        return super().write_byte(address, data)
-
-
-class WriteLatches(_OtherMemory):
-    memory_kind = LatchingMemory
-
-
-class LowByteMemory(Memory):
-    """A high byte cannot be written."""
-
-    def write_byte(self, address, data):
-        row = BY_ADDRESS.get(address & ~1)
-        return (
-            row if address & 1 and row is not None and row.writable else super().write_byte(address, data)
-        )
-
-
-class HighByteFixed(_OtherMemory):
-    memory_kind = LowByteMemory
-
-
 # -- flags and STATUS ------------------------------------------------------------------------------------
-
-
-class StatusKept(SimulatedChip):
-    def _read(self, address):
-        before = self._status
-        word = super()._read(address)
-        self._status = before
-        return word
 
 
 class StatusClearedByAnyRead(SimulatedChip):
@@ -200,40 +134,6 @@ class AlarmFalls(SimulatedChip):
     def __init__(self, *args, **options):
         super().__init__(*args, **options)
         self._falling |= ALARM_BITS[0] | ALARM_BITS[1]
-
-
-class NoErrorFlag(SimulatedChip):
-    def _read(self, address):
-        word = super()._read(address)
-        return word & ~EA if BY_ADDRESS.get(address & ~1, BY_NAME["STATUS"]).flags else word
-
-    def _fast(self, *args):
-        return 0
-
-
-class NewStays(SimulatedChip):
-    """ND is set for good by the first update."""
-
-    def _read(self, address):
-        word = super()._read(address)
-        flags = BY_ADDRESS.get(address & ~1, BY_NAME["STATUS"]).flags
-        return word | ND if flags and self._updates else word
-
-    def _fast(self, *args):
-        return 0
-
-
-class NewClearedByAny(SimulatedChip):
-    """A read of any output clears the ND of all."""
-
-    def _read(self, address):
-        word = super()._read(address)
-        if BY_ADDRESS.get(address & ~1, BY_NAME["STATUS"]).flags:
-            self._read_at[:] = self._updates
-        return word
-
-    def _fast(self, *args):
-        return 0
 
 
 class NewNever(SimulatedChip):
@@ -259,32 +159,6 @@ class CountsNever(SimulatedChip):
         before = self._memory["ENDURANCE"]
         super()._save()
         self._memory["ENDURANCE"] = before
-
-
-class NullUnsaved(SimulatedChip):
-    """An autonull of either kind ends without a flash update."""
-
-    def _begin_null(self, now, average_s):
-        super()._begin_null(now, average_s)
-        if self._state is State.FLASHING:
-            self._state, self._until = State.RUNNING, np.inf
-
-    def _finish(self, now):
-        ended = self._state
-        super()._finish(now)
-        if ended is State.NULLING:
-            self._state, self._until = State.RUNNING, np.inf
-            self._restart_sampling(now)
-
-
-class RestoreGyros(SimulatedChip):
-    def _command(self, data, now):
-        kept = {name: self._memory[name] for name in ACCEL_OFF}
-        super()._command(data, now)
-        if self._state is State.RESTORING:
-            for name, word in kept.items():
-                self._memory[name] = word
-            self._sampler.configure(self._memory)
 
 
 class _Slow(SimulatedChip):
@@ -354,50 +228,6 @@ class SelfTestBitStays(SimulatedChip):
             self._memory["MSC_CTRL"] = (
                 self._memory["MSC_CTRL"] | BY_NAME["MSC_CTRL"].field("self_test").mask
             )
-
-
-class KeepingMemory(Memory):
-    """A reset keeps what the registers hold."""
-
-    def load(self):
-        if not self._words:
-            super().load()
-
-
-class ResetKeeps(_OtherMemory):
-    memory_kind = KeepingMemory
-
-
-class ForgetfulMemory(Memory):
-    """A reset loads defaults, whatever the flash holds."""
-
-    def load(self):
-        super().load()
-        for row in BY_ADDRESS.values():
-            if row.name != "ENDURANCE":
-                self._words[row.name] = row.default
-
-
-class ResetDefaults(_OtherMemory):
-    memory_kind = ForgetfulMemory
-
-
-class SavingAllMemory(Memory):
-    """The flash update saves volatile registers as well."""
-
-    def save(self):
-        super().save()
-        self._all = dict(self._words)
-
-    def load(self):
-        super().load()
-        if hasattr(self, "_all"):
-            for name in ("AUX_DAC", "GPIO_CTRL", "MSC_CTRL"):
-                self._words[name] = self._all[name]
-
-
-class VolatileSaved(_OtherMemory):
-    memory_kind = SavingAllMemory
 
 
 # -- signals ---------------------------------------------------------------------------------------------
@@ -579,20 +409,10 @@ CHANGES: dict[str, Change] = {
     "one byte is read twice": Change("reserved_bits", ReservedMirror),
     "offsets are sign-extended": Change("offset_upper_bits", OffsetsExtended),
     "upper bits of offsets are ones": Change("offset_upper_bits", OffsetsOnes),
-    "a byte clears the other": Change("byte_write", WriteClears),
-    "the low byte waits": Change("byte_write", WriteLatches),
-    "high bytes are fixed": Change("byte_write", HighByteFixed),
-    "a read keeps STATUS": Change("status_clears", StatusKept),
-    "any read clears STATUS": Change("status_clears", StatusClearedByAnyRead),
+    "any read clears STATUS": Change("alarm_stays", StatusClearedByAnyRead),
     "an alarm's bit falls": Change("alarm_stays", AlarmFalls),
-    "EA never comes": Change("error_flag", NoErrorFlag),
-    "ND stays": Change("new_data_flag", NewStays),
-    "ND is cleared by any output": Change("new_data_flag", NewClearedByAny),
-    "ND never comes": Change("new_data_flag", NewNever),
     "a flash update counts two": Change("flash_count", CountsTwice),
     "a flash update counts nothing": Change("flash_count", CountsNever),
-    "an autonull is not saved": Change("null_saves", NullUnsaved),
-    "a restore spares accelerometers": Change("restore_zeroes", RestoreGyros),
     "a flash update takes 0.25 s": Change("flash_time", FlashSlow),
     "a flash update takes 1 s": Change("flash_time", FlashVerySlow),
     "a precise null takes 60 s": Change("precision_time", PrecisionSlow),
@@ -600,9 +420,6 @@ CHANGES: dict[str, Change] = {
     "a reset of 0.5 s ends in silence": Change("reset_time", ResetDead),
     "the self-test takes 0.2 s": Change("self_test_time", SelfTestSlow),
     "the self-test's bit stays": Change("self_test_time", SelfTestBitStays),
-    "a reset keeps the registers": Change("reset_loads", ResetKeeps),
-    "a reset loads defaults": Change("reset_loads", ResetDefaults),
-    "volatile registers are saved": Change("reset_volatile", VolatileSaved),
     "accelerometer offsets count 2": Change("accel_offset_lsb", _offset_factor(ACCEL_COLUMNS, 2)),
     "accelerometer offsets count 1/2": Change("accel_offset_lsb", _offset_factor(ACCEL_COLUMNS, 0.5)),
     "accelerometer offsets as the sibling's": Change(
@@ -615,9 +432,6 @@ CHANGES: dict[str, Change] = {
     "gyros are deaf to the negative test": Change("self_test_gyro", _with_chain(GyrosPositiveOnly)),
     "gyros answer the same way": Change("self_test_gyro", _with_chain(GyrosSameWay)),
     "accelerometers answer to both": Change("self_test_accel", _with_chain(AccelsBothSigns)),
-    "the filter is one boxcar": Change("filter_gain", _with_chain(OneBoxcar)),
-    "the filter has twice the taps": Change("filter_gain", _with_chain(TwiceTheTaps)),
-    "the filter has M + 1 taps": Change("filter_gain", _with_chain(MTaps)),
     "the period is base times N": Change("sample_period", PeriodOfN),
     "there is one time base": Change("sample_period", OneTimeBase),
     "the slow base is 16 fast ones": Change("sample_period", SlowBaseOf16),
@@ -627,9 +441,6 @@ CHANGES: dict[str, Change] = {
     ),
     "an autonull truncates to its LSB": Change("autonull_rounding", _truncating(1), parts=20),
     "an autonull truncates to the output's LSB": Change("autonull_rounding", _truncating(4)),
-    "accelerometers are twice as noisy": Change("accel_noise", settings={"noise_mg": 9.4}),
-    "accelerometers are half as noisy": Change("accel_noise", settings={"noise_mg": 2.35}),
-    "gyros are twice as noisy": Change("gyro_noise", settings={"gyro_noise_dps": 1.2}),
 }
 """Changed chips by the change."""
 

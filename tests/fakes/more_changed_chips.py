@@ -13,21 +13,19 @@ from types import MappingProxyType
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.device.sensor.registers import BY_ADDRESS, BY_NAME, EA, GYRO_OUT, REGISTERS
+from adis_gonio.device.sensor.registers import BY_ADDRESS, BY_NAME, REGISTERS
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.chip import State
-from adis_gonio.sim.memory import BASE_S, Memory
-from adis_gonio.sim.sampling import ACCEL_COLUMNS, ALARM_BITS, OUTPUTS, STATUS, Inputs, SignalChain, Updates
+from adis_gonio.sim.memory import BASE_S
+from adis_gonio.sim.sampling import ACCEL_COLUMNS, ALARM_BITS, STATUS, Inputs, SignalChain, Updates
 from fakes.changed_chips import (
     Change,
     _AfterWrite,
     _offset_factor,
     _OtherFilter,
-    _OtherMemory,
     _OtherPeriod,
     _Slow,
     _TestSlow,
-    _with_chain,
 )
 
 # -- words on the wire -----------------------------------------------------------------------------------
@@ -62,63 +60,6 @@ class OffsetsOfFourteenBits(SimulatedChip):
 
 
 # -- flags and STATUS ------------------------------------------------------------------------------------
-
-
-class NewClearedByTransfer(SimulatedChip):
-    """ND falls when the word has been shifted out, which is too late for a read in the next frame."""
-
-    _transfer: tuple[int, int] | None = None  # column of the word to shift out, and its update
-
-    def _answer(self, *frame):
-        sent, self._transfer = self._transfer, None
-        reply = super()._answer(*frame)
-        # If the frame was a reset, the count of updates began again, and there is no flag to clear.
-        if sent is not None and sent[1] <= self._updates:
-            self._read_at[sent[0]] = max(sent[1], self._read_at[sent[0]])
-        return reply
-
-    def _read(self, address):
-        row = BY_ADDRESS.get(address & ~1)
-        if row not in OUTPUTS:
-            return super()._read(address)
-        column = OUTPUTS.index(row)
-        before = self._read_at[column]
-        word = super()._read(address)
-        if self._read_at[column] != before:
-            self._transfer = column, self._updates
-            self._read_at[column] = before
-        return word
-
-    def _fast(self, *args):
-        return 0
-
-
-class GyrosWithoutError(SimulatedChip):
-    """Bit EA is missing in the words of the gyros alone."""
-
-    _slots = tuple(BY_NAME[name].address >> 1 for name in GYRO_OUT)
-
-    def _read(self, address):
-        word = super()._read(address)
-        return word & ~EA if address >> 1 in self._slots else word
-
-    def _fast(self, *args):
-        return 0
-
-
-class StatusNeedsTwoReads(SimulatedChip):
-    """A bit of STATUS is cleared by the second read that shows it."""
-
-    def _start_up(self, now):
-        super()._start_up(now)
-        self._shown = 0
-
-    def _read(self, address):
-        before = self._status
-        word = super()._read(address)
-        if address & ~1 == STATUS.address:
-            self._shown = self._status = before & ~self._shown
-        return word
 
 
 class AlarmOffClears(SimulatedChip):
@@ -166,20 +107,6 @@ class CountsChangesOnly(SimulatedChip):
         rows = [row for row in REGISTERS if row.flash_mask]
         if any((memory[row.name] & row.flash_mask) != memory._flash[row.name] for row in rows):
             super()._save()
-
-
-class VolatileAlarms(Memory):
-    """The registers of the alarms have no flash copy; a reset loads their defaults."""
-
-    def load(self):
-        super().load()
-        for row in REGISTERS:
-            if row.name.startswith("ALM_"):
-                self._words[row.name] = row.default
-
-
-class ResetForgetsAlarms(_OtherMemory):
-    memory_kind = VolatileAlarms
 
 
 class SelfTestOf70Ms(_TestSlow):
@@ -261,17 +188,12 @@ CHANGES: dict[str, Change] = {
     "a write returns the old content": Change("reply_to_write", WriteReturnsOld),
     "bit 3 of SENS_AVG reads one": Change("reserved_bits", SensAvgBitThree),
     "offsets read as 14-bit numbers": Change("offset_upper_bits", OffsetsOfFourteenBits),
-    "ND falls a frame late": Change("new_data_flag", NewClearedByTransfer),
-    "gyros have no EA": Change("error_flag", GyrosWithoutError),
-    "two reads clear STATUS": Change("status_clears", StatusNeedsTwoReads),
     "an alarm switched off clears its bit": Change("alarm_stays", AlarmOffClears),
     "over-range stays until a read": Change("over_range_falls", OverRangeStays),
     "a flash update without a change is not counted": Change("flash_count", CountsChangesOnly),
-    "a reset forgets the alarms": Change("reset_loads", ResetForgetsAlarms),
     "the self-test takes 70 ms": Change("self_test_time", SelfTestOf70Ms),
     "a precise null takes 45 s": Change("precision_time", PrecisionOf45S),
     "accelerometer offsets count 1/4": Change("accel_offset_lsb", _offset_factor(ACCEL_COLUMNS, 0.25)),
-    "the second boxcar has half the taps": Change("filter_gain", _with_chain(HalfSecondBoxcar)),
     "the slow base is 32 fast ones": Change("sample_period", SlowBaseOf32),
 }
 """Further changed chips by the change."""

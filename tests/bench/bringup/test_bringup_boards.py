@@ -8,6 +8,8 @@ from adis_gonio.bench.bringup.bringup_step import QUESTIONS
 from adis_gonio.device.bus import open_bus
 from adis_gonio.sim.sampling import SignalChain
 from fakes.boards import FAULTY, SOUND, Board, sound
+from fakes.changed_chips import Change, MTaps, OneBoxcar, TwiceTheTaps, _with_chain, open_chip
+from fakes.more_changed_chips import HalfSecondBoxcar, OnMachine
 
 ALL = Permission(writes=True, flash=True)
 
@@ -156,6 +158,22 @@ def test_a_silent_axis_is_named():
     found = bring_up(SOUND.open(7, noise_mg=0.0, bias_instability_mg=0.0), steps=only("link", "noise"))
     assert found.row("noise").verdict is Verdict.FAULT
     assert "never changes" in found.row("noise").text
+
+
+@pytest.mark.parametrize("chain", [SignalChain, OneBoxcar, TwiceTheTaps, MTaps, HalfSecondBoxcar])
+def test_the_filter_is_confirmed_only_with_the_noise_gains_of_two_boxcars(chain):
+    with open_chip(Change("", _with_chain(chain)), 2) as bus:
+        found = bring_up(bus, permission=ALL, steps=only("link", "filter steps"))
+    right = chain is SignalChain
+    assert found.answers["filter_gain"].outcome is (Outcome.CONFIRMS if right else Outcome.CONTRADICTS)
+    assert found.row("filter steps").verdict is (Verdict.OK if right else Verdict.DIFFERS)
+
+
+def test_the_filter_is_not_judged_on_a_vibrating_table():
+    with open_chip(Change("", OnMachine), 2) as bus:
+        found = bring_up(bus, permission=ALL, steps=only("link", "filter steps"))
+    assert found.answers["filter_gain"].outcome is Outcome.NOT_MEASURED
+    assert not found.accused
 
 
 def test_noise_that_is_not_the_tables_is_a_difference_with_its_size():

@@ -6,12 +6,12 @@ from scipy import stats
 
 from adis_gonio.bench.bringup import bring_up
 from adis_gonio.bench.bringup.bringup_step import ALPHA, Z, highest_bin, variance_ratio
-from adis_gonio.bench.bringup.noise_steps import degrees_of_freedom, flicker, spectrum
+from adis_gonio.bench.bringup.noise_steps import flicker, spectrum
 from adis_gonio.bench.bringup.update_steps import Rate, nearest_code
 from adis_gonio.device.sensor.settings import filter_response, rounding_spectrum, sample_period_s
 from adis_gonio.sim.noise import Flicker
 from adis_gonio.sim.sampling import bartlett_sums, history_rows, taps
-from fakes.changed_chips import CHANGES, open_chip
+from fakes.changed_chips import Change, NewNever, open_chip
 
 
 def test_each_limit_is_exceeded_with_its_probability():
@@ -40,14 +40,6 @@ def test_the_spectrum_of_rounded_filtered_noise_is_the_models(m):
         assert band.mean() == pytest.approx(1.0, abs=5 * np.sqrt(35 / 18 / 8 / len(band)) + 0.01)
 
 
-@pytest.mark.parametrize(("m", "spacing"), [(0, 1), (2, 1), (6, 1), (6, 13), (3, 40)])
-def test_degrees_of_freedom_are_those_of_the_variance_of_filtered_samples(m, spacing):
-    n = 600
-    variances = [filtered(m, n * spacing, 100.0, seed)[::spacing, 0].var(ddof=1) for seed in range(400)]
-    relative = np.std(variances) / np.mean(variances)
-    assert 2 / relative**2 == pytest.approx(degrees_of_freedom(n, m, spacing), rel=0.3)
-
-
 def test_the_level_of_flicker_is_that_of_the_simulated_world():
     rate = 819.2
     n = 1 << 14
@@ -63,7 +55,7 @@ def test_the_level_of_flicker_is_that_of_the_simulated_world():
 
 
 def test_a_chip_without_the_new_data_flag_is_not_watched_for_minutes():
-    with open_chip(CHANGES["ND never comes"], 2) as bus:
+    with open_chip(Change("", NewNever), 2) as bus:
         begin_s = bus.now_s()
         done = bring_up(bus, steps=(Rate(),))
         assert "ND never came" in str(done.as_dict())

@@ -25,12 +25,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.bench.bringup.bringup_step import QUESTIONS, Measured, Outcome, Question
-from adis_gonio.bench.bringup.recorded_chip import SELF_TEST, RecordedChip, RegisterSpan, RestStatistics
+from adis_gonio.bench.bringup.recorded_chip import RecordedChip, RegisterSpan, RestStatistics
 from adis_gonio.device.bus.capture import LogicCapture
 from adis_gonio.device.bus.recording import BusRecording
 from adis_gonio.device.sensor.frame_log import BUSY_S
@@ -45,7 +44,7 @@ from adis_gonio.device.sensor.registers import (
     Kind,
     Variant,
 )
-from adis_gonio.device.sensor.settings import FAST_BASE_S, SLOW_BASE_S, white_noise_gain
+from adis_gonio.device.sensor.settings import FAST_BASE_S, SLOW_BASE_S
 
 ELSE = "something else"
 PRIOR = {"A": 0.999, "B": 0.99, "C": 0.9, "D": 0.7}
@@ -256,54 +255,22 @@ def _replies_to_writes(chip: RecordedChip, _: Variant) -> Iterator[str]:
 
 def _reserved_bits(chip: RecordedChip, _: Variant) -> Iterator[str]:
     # Each content of a register counts once.
-    for row, word in {(check.row, check.word) for check in chip.checks if check.row.kind is Kind.FIELDS}:
+    for row, word in {read for read in chip.reads if read[0].kind is Kind.FIELDS}:
         unused, extra = ~row.write_mask & 0xFFFF, word & ~row.write_mask
         if unused:
             yield "zeros" if not extra else "ones" if extra == unused else ELSE
 
 
 def _upper_bits(chip: RecordedChip, _: Variant) -> Iterator[str]:
-    for row, word in {(check.row, check.word) for check in chip.checks if check.row.signed}:
+    for row, word in {read for read in chip.reads if read[0].signed}:
         extra, upper = word & ~row.data_mask & 0xFFFF, ~row.data_mask & 0xFFFF
         negative = word >> (row.bits - 1) & 1
         if negative or extra:
             yield "zeros" if not extra else ELSE if extra != upper else "the sign" if negative else "ones"
 
 
-def _contents(cause: str, flash: bool | None = None, *, wide: bool = False) -> Observer:
-    """Return a function that judges the register contents of a recorded chip after a cause.
-
-    The cause is a write or a command. The function labels each changed content as right, unchanged or
-    something else. `wide` leaves out registers with one writable byte; `flash` chooses registers with a
-    flash copy (True), volatile ones (False) or all (None).
-    """
-
-    def observe(chip: RecordedChip, _: Variant) -> Iterator[str]:
-        for row, word, due in ((one.row, one.word, one.expected) for one in chip.checks):
-            mask = row.write_mask & ~(SELF_TEST if row.name == "MSC_CTRL" else 0)
-            chosen = flash is None or flash == (row.flash_mask == row.write_mask)
-            chosen &= not wide or (row.write_mask > 0xFF and row.write_mask & 0xFF > 0)
-            if chosen and due is not None and due.cause == cause and (due.word ^ due.before) & mask:
-                held = word & mask
-                right, unchanged = due.word & mask, due.before & mask
-                yield "right" if held == right else "unchanged" if held == unchanged else ELSE
-
-    return observe
-
-
 def _counts(chip: RecordedChip, _: Variant) -> Iterator[str]:
     yield from (f"{change:+d}" for name, change in chip.counts if name == "flash_update")
-
-
-def _saves(chip: RecordedChip, _: Variant) -> Iterator[str]:
-    """Yield a label for each autonull and restore: whether it saved to flash `once`, `never` or otherwise.
-
-    The change of ENDURANCE shows this. One save is its change by a command that updates the flash.
-    """
-    step = max((change for name, change in chip.counts if name == "flash_update"), default=1)
-    for name, change in chip.counts:
-        if name != "flash_update" and step:
-            yield "once" if change == step else "never" if not change else ELSE
 
 
 def _waits(command: str) -> Observer:
@@ -318,11 +285,6 @@ def _waits(command: str) -> Observer:
     return observe
 
 
-def _status_clears(chip: RecordedChip, _: Variant) -> Iterator[str]:
-    yield from ("kept" if kept else "cleared" for kept in chip.kept_alarms)
-    yield from ("cleared by any read" for label in chip.error_flags if label == "lost")
-
-
 def _ends(condition: str) -> Observer:
     """Return a function that yields whether a bit of STATUS stays or falls when a write ends its condition.
 
@@ -335,46 +297,6 @@ def _ends(condition: str) -> Observer:
     return observe
 
 
-def _error_flag(chip: RecordedChip, _: Variant) -> Iterator[str]:
-    yield from ("set" if label == "lost" else label for label in chip.error_flags)
-
-
-def _new_data(chip: RecordedChip, _: Variant) -> Iterator[str]:
-    for words in chip.scans:
-        flags = (words[1:] & ND).astype(bool)
-        if flags.size and flags.shape[1] > 2:
-            first, rest = flags[:, 0].mean(), flags[:, 1:].mean()
-            yield "never" if first + rest == 0 else "by any read" if first - rest > 0.5 else "by its read"
-    runs: dict[int, list[Floats]] = {}
-    for span, step_s, flags, period_s in _bursts(chip):
-        if step_s < period_s / 2.5 and len(flags) * step_s > 3 * period_s:
-            # Share of set flags, and number of successive words with one flag.
-            share, words = flags.mean(), flags.sum() / max(_rises(flags).size, 1)
-            runs.setdefault(id(span), []).append(np.array([share, words]))
-    for share, words in (np.mean(of_span, axis=0).tolist() for of_span in runs.values()):
-        late = "stays" if share == 1 else "a frame late"
-        yield "never" if share == 0 else "by its read" if words < 1.5 else late
-
-
-def _rises(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Return the indices (k,) of the flags that are True and follow a False flag."""
-    return np.flatnonzero(flags[1:] & ~flags[:-1]) + 1
-
-
-def _bursts(chip: RecordedChip) -> Iterator[tuple[RegisterSpan, float, np.ndarray, float]]:
-    """Yield each series of consecutive reads of one register.
-
-    It is described by the span in which it lies, the time of one read in s, the flags ND (new data) of the
-    reads, and the nominal update period in s.
-    """
-    for span in chip.spans:
-        for runs in span.outputs.values():
-            for times, words in runs:
-                step_s = float(np.median(np.diff(times))) if len(times) > 8 else 0.0
-                if step_s > 0 and not math.isnan(span.period_s):
-                    yield span, step_s, (words & ND).astype(bool), span.period_s
-
-
 def _periods(chip: RecordedChip, _: Variant) -> Iterator[RowFigure]:
     """Yield the logarithms of measured sample periods divided by their nominal periods.
 
@@ -383,13 +305,17 @@ def _periods(chip: RecordedChip, _: Variant) -> Iterator[RowFigure]:
     not change.
     """
     bursts: dict[int, list[tuple[float, float]]] = {}
-    for span, step_s, flags, _period_s in _bursts(chip):
-        at = _rises(flags)
-        if len(at) > 2 and (at[-1] - at[0]) / (len(at) - 1) > 2.5:
-            # Each end is uncertain by one read, uniformly.
-            words = float(at[-1] - at[0])
-            measured = math.log(words / (len(at) - 1) * step_s), math.sqrt(1 / 6) / words
-            bursts.setdefault(span.image["SMPL_PRD"] & 0xFF, []).append(measured)
+    for span in chip.spans:
+        for times, words in (run for runs in span.outputs.values() for run in runs):
+            if len(times) <= 8 or math.isnan(span.period_s):
+                continue
+            step_s, new = float(np.median(np.diff(times))), (words & ND).astype(bool)
+            at = np.flatnonzero(new[1:] & ~new[:-1]) + 1  # reads of one register that find an update
+            if step_s > 0 and len(at) > 2 and (at[-1] - at[0]) / (len(at) - 1) > 2.5:
+                # Each end is uncertain by one read, uniformly.
+                reads = float(at[-1] - at[0])
+                measured = math.log(reads / (len(at) - 1) * step_s), math.sqrt(1 / 6) / reads
+                bursts.setdefault(span.image["SMPL_PRD"] & 0xFF, []).append(measured)
     periods = {code: np.median(of_code, axis=0).tolist() for code, of_code in bursts.items()}
     best = min(periods, key=lambda code: periods[code][1], default=0)
     for code, (log, u) in periods.items():
@@ -496,71 +422,6 @@ def _after_filter(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
                 share = (first[1] - mean) / (changed * ratio)
                 predicted = {"after": (0.9, 1.1), "before": (-0.1, 0.1)}
                 yield RowFigure((share - ramp) / (1 - ramp), 0.05 + sigma / abs(changed), predicted)
-
-
-def _levels(chip: RecordedChip, part: Variant) -> dict[int, tuple[float, float, float]]:
-    """Return the noise of the accelerometers at each filter setting M that was recorded.
-
-    The three values by M are the natural logarithm of the noise (rms) in LSB, its degrees of freedom, and
-    its `color` (see `RestStatistics`). Lines of the spectrum are left out, because they are vibration of
-    the bench.
-    """
-    found: dict[int, tuple[float, float, float]] = {}
-    floor = part.performance.floor[0] / part.accel_mg_per_lsb
-    for rest in chip.rests:
-        variance = float(np.mean(rest.sigma[:3] ** 2)) - 1 / 12 - floor**2
-        if variance > 0 and 3 * rest.dof > found.get(rest.m, (0.0, 100.0))[1]:
-            found[rest.m] = math.log(variance) / 2, 3 * rest.dof, rest.color[0]
-    return found
-
-
-_GAINS: dict[str, Callable[[int], float]] = {
-    "two boxcars of 2^M": white_noise_gain,
-    "one boxcar of 2^M": lambda m: 2 ** (-m / 2),
-    "twice the taps": lambda m: white_noise_gain(m + (m > 0)),
-    "M + 1 taps": lambda m: float(np.linalg.norm(np.convolve(*np.ones((2, m + 1))))) / (m + 1) ** 2,
-}
-"""Noise gain of the filter as a function of its setting M, for each alternative."""
-
-
-def _filter_gain(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
-    found = _levels(chip, part)
-    least = min(found, default=0)
-    for m, (log, dof, _) in found.items():
-        if m != least:
-            # The filter has another gain for colored noise. Without a filter, the color is the bench's.
-            color = found[least][2] if least == 0 else 0.0
-            u = math.hypot(math.sqrt(0.5 / dof + 0.5 / found[least][1]), 0.02, color)
-            predicted = {
-                name: (math.log(gain(m) / gain(least)) - 0.02, math.log(gain(m) / gain(least)) + 0.02)
-                for name, gain in _GAINS.items()
-            }
-            yield RowFigure(log - found[least][0], u, predicted)
-
-
-def _noise(columns: slice) -> Observer:
-    """Return a function that yields the logarithm of measured noise divided by the noise in the table.
-
-    Both are the noise before the filter. The function takes a recorded chip and its variant, and `columns`
-    chooses accelerometers or gyros. The gain of the filter is measured on the accelerometers, so that M = 0
-    must be recorded too. Only white noise counts, because the bench may add colored noise.
-    """
-
-    def observe(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
-        levels = _levels(chip, part)
-        rests = [rest for rest in chip.rests if np.isfinite(rest.sigma[columns]).all() and rest.m in levels]
-        if rests and 0 in levels:
-            rest = max(rests, key=lambda one: (one.m == 0, one.dof))
-            lsb = part.lsb(Kind.GYRO if columns.start else Kind.ACCEL, rest.dps)[0]
-            gain = levels[rest.m][0] - levels[0][0]
-            u = math.sqrt(0.5 / rest.dof + sum(0.5 / dof for _, dof, _ in levels.values()))
-            u = math.hypot(u, max(rest.color[columns.start // 3], levels[0][2]))
-            # Each axis is a sensor of its own.
-            for variance in np.maximum(rest.sigma[columns] ** 2 - 1 / 12, 1e-9).tolist():
-                x = math.log(variance) / 2 - gain + math.log(lsb / part.performance.noise[columns.start])
-                yield RowFigure(x, u, {"as the table": (-0.05, 0.05)})
-
-    return observe
 
 
 def _self_test(columns: slice, alike: str) -> Observer:
@@ -672,24 +533,9 @@ ROWS: tuple[ChipRow, ...] = (
            "zeros", "ones"),
     _entry("offset_upper_bits | Bits above the number of an offset? | estimate | D", _upper_bits,
            "zeros", "the sign", "ones"),
-    _entry("byte_write | Content after its bytes were written? | DS | A", _contents("write", wide=True),
-           "right", "unchanged"),
-    _entry("new_data_flag | When is bit ND cleared? | DS | A", _new_data,
-           "by its read", "by any read", "stays", "never", "a frame late"),
-    _entry("error_flag | Bit EA during an alarm? | DS | A", _error_flag,
-           "set", "missing", "on some outputs"),
-    _entry("status_clears | STATUS after it was read? | DS | A", _status_clears,
-           "cleared", "kept", "cleared by any read"),
     _entry("alarm_stays", _ends("alarm"), "stays", "falls"),
     _entry("over_range_falls", _ends("over_range"), "falls", "stays"),
     _entry("flash_count", _counts, "+1", "+0"),
-    _entry("null_saves | Do nulls and restores save to flash? | DS | A", _saves, "once", "never"),
-    _entry("restore_zeroes | Offsets after a factory restore? | DS | A", _contents("restore"),
-           "right", "unchanged"),
-    _entry("reset_loads | Registers with a flash copy after a reset? | DS | A",
-           _contents("reset", True), "right", "unchanged"),
-    _entry("reset_volatile | Volatile registers after a reset? | DS | A",
-           _contents("reset", False), "right", "unchanged"),
     _entry("reset_time | Recovery from a reset within 0.15 s? | DS, start-up | B", _waits("reset"),
            "in time", "longer", "shorter"),
     _entry("flash_time | Flash update within 0.1 s? | DS | B", _waits("flash_update"),
@@ -707,11 +553,6 @@ ROWS: tuple[ChipRow, ...] = (
     _entry("sample_period", _periods,
            "base × (N + 1)", "base × N", "bit 7 has no effect", _OTHER_BASE,
            wide=(-10.0, 5.0), unit="times the nominal", logarithmic=True),
-    _entry("filter_gain", _filter_gain, *_GAINS, wide=(-7.0, 2.0), logarithmic=True),
-    _entry("accel_noise", _noise(_ACCELS), "as the table",
-           wide=(-3.0, 3.0), unit="times the table", logarithmic=True),
-    _entry("gyro_noise", _noise(_GYROS), "as the table",
-           wide=(-3.0, 3.0), unit="times the table", logarithmic=True),
     _entry("self_test_gyro", _self_test(_GYROS, "the same way"),
            "to both", "the same way", "to the positive"),
     _entry("self_test_accel", _self_test(_ACCELS, "to both"), "to the positive", "to both"),
@@ -738,9 +579,6 @@ def judge_recordings(paths: Iterable[str | Path], part: Variant) -> tuple[RowFin
         source = LogicCapture(path) if capture else BusRecording(path)
         rises = None if isinstance(source, LogicCapture) else source.header["edge_rises"]
         chips.append(RecordedChip(source, rises))
-    if any("lost" in chip.error_flags for chip in chips):
-        for chip in chips:
-            chip.attribute_to_reads()
     return tuple(row.judge([found for chip in chips for found in row.observe(chip, part)]) for row in ROWS)
 
 

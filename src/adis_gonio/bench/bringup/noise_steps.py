@@ -15,38 +15,24 @@ from adis_gonio.bench.bringup.bringup_step import (
     Measured,
     SideEffect,
     StepResult,
+    Z,
     highest_bin,
     variance_ratio,
 )
 from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, Variant, registers
 from adis_gonio.device.sensor.settings import (
     filter_response,
-    filter_weights,
     rounding_spectrum,
     scales,
     sens_avg_word,
+    white_noise_gain,
 )
 
 _SCANS = 4096
+_GAPS = "the scans have gaps on this bridge, so that they have no spectrum"
 BANDS = 6
 HANN_WIDTH = 35 / 18
 """Number of bins of a periodogram with Hann's window that count as one independent bin in a mean."""
-
-
-def degrees_of_freedom(count: int, m: int, spacing: float = 1.0) -> float:
-    """Return the degrees of freedom of the variance of `count` filtered samples, `spacing` periods apart.
-
-    The filter (of setting `m`: two boxcars of 2^m taps) correlates neighbouring samples, which reduces the
-    number.
-    """
-    # Autocorrelation of the filter at the lags of the samples: each correlated lag costs degrees of
-    # freedom.
-    weights = filter_weights(m)
-    shape = np.correlate(weights, weights, "full")
-    shape = shape[len(weights) - 1 :] / shape[len(weights) - 1]
-    lags = np.arange(1, len(shape) / spacing)
-    rho = np.interp(lags * spacing, np.arange(len(shape)), shape, right=0.0)
-    return (count - 1) / (1 + 2 * float(np.sum(rho**2)))
 
 
 def flicker(floor: Floats, frequency_hz: Floats, rate_hz: float) -> Floats:
@@ -91,7 +77,7 @@ class Noise(BringupStep):
             return found.not_measured("SENS_AVG holds no valid range of the gyros")
         block, whole = bench.scans(_SCANS, names)
         if not whole:
-            return found.not_measured("the scans have gaps on this bridge, so that they have no spectrum")
+            return found.not_measured(_GAPS)
         m, rate = configuration.filter_m, configuration.sample_rate_hz
         lsb, _, units = scales(registers(names), sensor.variant, configuration.gyro_range_dps)
         expected = sensor.variant.performance.noise
@@ -131,11 +117,11 @@ class Noise(BringupStep):
 
 
 class _Judged:
-    """Noise of the six axes, with the axes that deviate from the variant's figures.
+    """Noise of k axes, with the axes that deviate from the variant's figures.
 
     Attributes
     ----------
-    sigma, u : (6,) float
+    sigma, u : (k,) float
         Standard deviation before the filter in LSB, and its standard uncertainty.
     level_off : list of bool
         True for each axis with other noise than the variant's.
@@ -156,24 +142,17 @@ class _Judged:
         self.figures: tuple[Measured, ...] = ()
 
 
-def floors(part: Variant, expected: Floats) -> Floats:
-    """Return the bias instability (6,) of the axes of a variant, in LSB.
-
-    `expected` is the white noise of each axis in LSB by the variant's figures.
-    """
-    return np.asarray(part.performance.floor * expected / part.performance.noise)
-
-
 def _by_spectrum(part: Variant, numbers: Floats, m: int, rate_hz: float, expected: Floats) -> _Judged:
     """Judge the noise of scans without gaps by their spectrum: level, shape and single tones.
 
-    `numbers` are the scans (n, 6) in LSB, `m` is the filter setting, `rate_hz` the sample rate, and
-    `expected` the noise (6,) in LSB by the figures of the variant `part`. Only frequencies are used at
-    which white noise exceeds rounding and flicker noise.
+    `numbers` are the scans (n, k) of the first k of the six axes in LSB, `m` is the filter setting,
+    `rate_hz` the sample rate, and `expected` the noise (k,) in LSB by the figures of the variant `part`.
+    Only frequencies are used at which white noise exceeds rounding and flicker noise.
     """
     cycles, power = spectrum(numbers)
     gain = filter_response(m, cycles)
-    floor = floors(part, expected)
+    axes = slice(len(expected))
+    floor = part.performance.floor[axes] * expected / part.performance.noise[axes]
     # Frequency above which flicker adds at most a tenth to the white noise of every axis.
     lowest_hz = float(np.max(flicker(floor, np.ones(1), rate_hz)[0] / (0.1 * expected**2)))
     used = cycles * rate_hz >= max(lowest_hz, 4 * rate_hz / len(numbers))
@@ -235,10 +214,32 @@ class FilterSteps(BringupStep):
     _scans = 2048
 
     def run(self, bench: BringupBench, found: StepResult) -> StepResult:
-        """Read the accelerometers at rest with each setting M."""
+        """Compare the noise of the accelerometers at rest with each setting M with the noise at M = 0."""
         bench.sample_quickly()
+        part, rate = bench.sensor.variant, bench.sensor.configuration().sample_rate_hz
+        expected = part.performance.noise[:3] / part.accel_mg_per_lsb
+        wrong, first, u_first = [], 0.0, 0.0
         for m in range(7):
             bench.sensor.write("SENS_AVG", sens_avg_word(300, m))
             bench.bus.sleep_s(bench.sensor.configuration().settling_s)
-            bench.scans(self._scans, ACCEL_OUT)
-        return found
+            block, whole = bench.scans(self._scans, ACCEL_OUT)
+            if not whole:
+                return found.not_measured(_GAPS)
+            judged = _by_spectrum(part, block.numbers().astype(np.float64), m, rate, expected)
+            # Noise of an axis before the filter, if its gain is that of the table, and relative u.
+            noise = float(judged.sigma.mean())
+            u = float(np.linalg.norm(judged.u)) / len(judged.u) / noise
+            if m == 0:
+                if judged.tones:
+                    return found.not_measured("the table vibrates, see the step 'noise'")
+                first, u_first = noise, u
+                continue
+            ratio, u = noise / first, math.hypot(u, u_first)
+            gain = white_noise_gain(m)
+            found.measure(f"noise gain at M = {m}", gain * ratio, "1", gain * ratio * u, gain)
+            # Without a filter the noise is white within 2 %.
+            if abs(ratio - 1) > Z * u + 0.02:
+                wrong.append(f"M = {m}: {gain * ratio:.3f} instead of {gain:.3f}")
+        text = f"noise gains {'; '.join(wrong)}" if wrong else "two boxcars of 2^M taps, as the table says"
+        found.check("filter_gain", not wrong, text, *found.figures)
+        return found.differs(text) if wrong else found.ok(text)

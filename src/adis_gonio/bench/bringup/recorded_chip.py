@@ -1,7 +1,7 @@
 """The registers of a chip, followed through the frames of a recording or a capture of its bus.
 
-`RecordedChip` keeps the contents that the register table predicts after each write, command and reset. It
-compares each reply with them and stores the comparisons, which `chip_rows` judges. It writes nothing.
+`RecordedChip` keeps the contents that the register table predicts after each write and command, and stores
+the replies that show a rule of the chip, which `chip_rows` judges. It writes nothing.
 """
 
 from __future__ import annotations
@@ -16,9 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.bench.bringup.bringup_step import longest_run
 from adis_gonio.bench.bringup.link_steps import legal
-from adis_gonio.bench.bringup.noise_steps import BANDS, HANN_WIDTH, degrees_of_freedom, spectrum
 from adis_gonio.device.bus import FrameBlock
 from adis_gonio.device.bus.recording import Call
 from adis_gonio.device.sensor import settings
@@ -43,44 +41,7 @@ _COMMAND, _MISC = BY_NAME["COMMAND"], BY_NAME["MSC_CTRL"]
 SELF_TEST = _MISC.field("self_test").mask
 _ALARM = BY_NAME["STATUS"].field("alarm1").mask
 _OVER_RANGE = BY_NAME["STATUS"].field("over_range").mask
-_ALARMS = _ALARM | BY_NAME["STATUS"].field("alarm2").mask
 _IS_OUTPUT = np.array([slot in BY_ADDRESS and BY_ADDRESS[slot].flags for slot in range(64)])
-
-
-@dataclass
-class Content:
-    """Predicted content of a register.
-
-    Attributes
-    ----------
-    word, before : int
-        Predicted word, and word before the change; `before` is −1 if it is not known.
-    cause : str
-        Cause of the change: `write`, `read` (the word was read) or a command such as `reset`.
-    """
-
-    word: int
-    before: int
-    cause: str
-
-
-@dataclass(frozen=True)
-class Check:
-    """A word read from a control register.
-
-    Attributes
-    ----------
-    row : Register
-        The register.
-    word : int
-        The word that was read.
-    expected : Content or None
-        Predicted content; None if nothing predicts it.
-    """
-
-    row: Register
-    word: int
-    expected: Content | None
 
 
 @dataclass
@@ -164,17 +125,10 @@ class RestStatistics:
         Change of each axis in LSB/s.
     middle_s : float
         Mean time of the updates in s.
-    sigma : (6,) float
-        Standard deviation of each axis in LSB without the lines of its spectrum.
-    color : (float, float)
-        Relative scatter of the noise (accelerometers, gyros) over the bands of its spectrum, without lines
-        and the filter; 0 for white noise.
     count : int
         Number of sample updates.
-    dof : float
-        Degrees of freedom of the variance `sigma`² of one axis.
-    m, dps : int
-        Filter setting and range of the gyros in °/s.
+    dps : int
+        Range of the gyros in °/s.
     """
 
     span: RegisterSpan
@@ -182,64 +136,8 @@ class RestStatistics:
     rms: Floats
     slope: Floats
     middle_s: float
-    sigma: Floats
-    color: tuple[float, float]
     count: int
-    dof: float
-    m: int
     dps: int
-
-
-def remove_lines(values: Floats) -> tuple[float, Floats, bool]:
-    """Return standard deviation and spectrum of a series without the lines of its spectrum.
-
-    The standard deviation has the unit of `values`, the spectrum its square (see `spectrum`). A line is a
-    bin more than 30 times as high as the medians of the bins on both sides. Its power is replaced by
-    the mean power on both sides. The last result is True if there are lines.
-    """
-    _, power = spectrum(values[:, None])
-    power = power[:, 0]
-    at = np.arange(len(power))
-    # Medians over bins at some distance below and above, reflected at both ends; ln 2 makes them means.
-    sides = [np.abs(at[:, None] + sign * np.arange(5, 22)) for sign in (-1, 1)]
-    last = len(power) - 1
-    below, above = (np.median(power[np.abs(last - np.abs(last - one)) % len(power)], 1) for one in sides)
-    line = power > 30.0 * np.maximum(below, above)
-    # The window spreads a line over neighbouring bins.
-    line = np.convolve(line, np.ones(7), "same") > 0.5
-    around = (below + above) / 2 / math.log(2)
-    power = np.where(line, around, power)
-    return math.sqrt(2 * float(power.sum()) / len(values)), power, bool(line.any())
-
-
-def _longest_run(times: Floats) -> tuple[int, int]:
-    """Return begin and end (exclusive) of the longest run of times with about the median step.
-
-    If no run has more than a quarter of the times, all times are returned as one run.
-    """
-    begin, end = longest_run(times, float(np.median(np.diff(times))))
-    return (begin, end) if 4 * (end - begin) > len(times) else (0, len(times))
-
-
-def noise_color(powers: list[Floats], m: int) -> float:
-    """Return the standard deviation of the logarithm of noise over the bands of its spectrum.
-
-    It is 0 if chance alone explains the scatter, as for white noise, or if there are too few frequencies.
-    `powers` are the spectra of some axes after a filter of setting `m`. Only frequencies are used that the
-    filter lets pass.
-    """
-    levels = np.zeros(BANDS)
-    independent = 0.0
-    for power in powers:
-        gain = settings.filter_response(m, np.linspace(0, 0.5, len(power)))
-        used = np.flatnonzero(gain > 0.1)[4:-1]
-        if len(used) < 2 * BANDS:
-            return 0.0
-        levels += [band.mean() for band in np.array_split(power[used] / gain[used], BANDS)]
-        independent += len(used) / BANDS / HANN_WIDTH
-    scatter = float(np.var(np.log(np.maximum(levels, 1e-12)), ddof=1)) if powers else 0.0
-    # Chance scatters the levels by 1 / independent, and this by chance up to about 2.5 times as much.
-    return math.sqrt(scatter) if scatter * independent > 2.5 else 0.0
 
 
 class RecordedChip:
@@ -254,8 +152,8 @@ class RecordedChip:
 
     Attributes
     ----------
-    checks : list of Check
-        Words read from control registers, each with its predicted content.
+    reads : list of (Register, int)
+        Words read from control registers.
     spans : list of RegisterSpan
         Times between two changes of the registers, in order.
     after_writes : list of (frame, content, reply before, reply)
@@ -264,14 +162,6 @@ class RecordedChip:
         By command: times in s after the command at which the chip was seen ready (True) or not.
     counts : list of (command, int)
         Change of ENDURANCE by each command that saves to flash.
-    kept_alarms : list of bool
-        For each alarm that is over, if the first word of STATUS had its bit: True if the second word has
-        the bit too.
-    error_flags : list of str
-        Labels of the flag EA (error or alarm) in the output words during an alarm. `set`: all words from
-        the first flag on have it. `missing`: no word has it, although STATUS has the bit of the alarm.
-        `on some outputs`: some outputs always have it, the others never. `lost`: an output has it in some
-        words only. The last two labels appear once for each output with words without the flag.
     ended : list of (str, bool)
         Name of a condition (`alarm` or `over_range`) that a write ended, and True if its bit in STATUS
         stayed until STATUS was read; False if the bit cleared before.
@@ -280,24 +170,20 @@ class RecordedChip:
     edges : list of (k, n) int64
         Words of k scans that read one register n times, each started at the first edge of the data-ready
         pulse.
-    scans : list of (n, k) int64
-        Words of scans of several output registers, one scan for each update.
     """
 
     def __init__(self, calls: Iterable[Call], edge_rises: bool | None = None) -> None:
-        self.checks: list[Check] = []
+        self.reads: list[tuple[Register, int]] = []
         self.after_writes: list[tuple[int, int, int, int]] = []
         self.waits: dict[str, list[tuple[float, bool]]] = {}
         self.counts: list[tuple[str, int]] = []
-        self.kept_alarms: list[bool] = []
-        self.error_flags: list[str] = []
         self.ended: list[tuple[str, bool]] = []
         self.nulls: list[tuple[int, str]] = []
         self.edges: list[Integers] = []
-        self.scans: list[Integers] = []
-        self._contents: dict[str, Content] = {}
+        # Contents by name as far as they are known, and names of the registers read since they changed.
+        self._contents: dict[str, int] = {}
+        self._verified: set[str] = set()
         self._parts: dict[str, tuple[int, int]] = {}
-        self._flash: dict[str, int] = {}
         self.spans = [RegisterSpan(-math.inf, {})]
         self._edge_rises = edge_rises
         self._listed: list[Register | None] = []
@@ -306,29 +192,18 @@ class RecordedChip:
         self._testing: float | None = None
         self._endurance: int | None = None
         self._counting: list[str] = []
-        self._flagged = False
-        self._alarming: float | None = None
-        self._ending = self._unflagged = False
+        # True if the newest output word had EA, while an alarm is set, and after it was switched off.
+        self._flagged = self._alarming = self._ending = False
+        self._proved = False
+        self._settled_s = math.inf
         # Last change of an accelerometer's offset: register, number, time in s from which STATUS shows it.
         self._ranged: tuple[str, int, float] | None = None
         self._status_s = -math.inf
         # For each word of STATUS: register, number, True if it is the first word and shows the change (None
         # for a later word), bit.
         self._ranges: list[tuple[str, int, bool | None, bool]] = []
-        self._cleared = self._proved = False
         self._follow(calls)
         self._judge_ranges()
-
-    def attribute_to_reads(self) -> None:
-        """Attribute cleared alarms to reads of any register.
-
-        This is right if another recording of the part has shown that any read clears STATUS. It explains
-        alarm bits that cleared before STATUS was read, and error flags (EA) that only some output registers
-        carried.
-        """
-        self.error_flags = [one.replace("on some outputs", "lost") for one in self.error_flags]
-        self.error_flags += ["lost"] * self.ended.count(("alarm", False))
-        self.ended = [one for one in self.ended if one != ("alarm", False)]
 
     @cached_property
     def rests(self) -> list[RestStatistics]:
@@ -342,28 +217,13 @@ class RecordedChip:
             count = min(len(values) for _, values in columns[:3])
             if count < 16 or span.m is None:
                 continue
-            times = columns[0][0]
-            begin, end = _longest_run(times)
-            spacing = max(float(times[end - 1] - times[begin]) / (end - begin - 1) / span.period_s, 1.0)
-            dof = degrees_of_freedom(end - begin, span.m, spacing)
-            mean, rms, slope, sigma = np.full((4, 6), math.nan)
-            powers, lined = [], False
+            mean, rms, slope = np.full((3, 6), math.nan)
             for k, (at, values) in enumerate(columns):
-                if len(values) < 16:
-                    continue
-                mean[k], rms[k] = values.mean(), values.std(ddof=1)
-                begin, end = _longest_run(at)
-                at = at - at.mean()
-                slope[k] = at @ values / (at @ at)
-                level, power, lines = remove_lines(values[begin:end])
-                sigma[k], lined = level if lines else rms[k], lined or lines
-                powers.append(power)
-            color = (noise_color(powers[:3], span.m), noise_color(powers[3:], span.m))
+                if len(values) >= 16:
+                    mean[k], rms[k], at = values.mean(), values.std(ddof=1), at - at.mean()
+                    slope[k] = at @ values / (at @ at)
             dps = settings.Configuration.from_words(1, span.image["SENS_AVG"], 0).gyro_range_dps or 300
-            dof /= HANN_WIDTH if lined else 1
-            found.append(RestStatistics(
-                span, mean, rms, slope, float(times.mean()), sigma, color, count, dof, span.m, dps
-            ))  # fmt: skip
+            found.append(RestStatistics(span, mean, rms, slope, float(columns[0][0].mean()), count, dps))
         return found
 
     # -- calls --------------------------------------------------------------------------------------------
@@ -394,7 +254,6 @@ class RecordedChip:
             if self._edge_rises == rises:
                 self.edges.append(words[1:])
             return
-        self.scans.append(words)
         for k, name in enumerate(names):
             if BY_NAME[name].flags:
                 span.outputs.setdefault(name, []).append((block.time_s, words[:, k]))
@@ -439,24 +298,13 @@ class RecordedChip:
             else:
                 for time_s, word in dict(zip(times[chosen], words[chosen], strict=True)).items():
                     self._control(row, int(word), float(time_s))
-        outputs = _IS_OUTPUT[slots]
-        if outputs.any():
-            self._flags(times[outputs], slots[outputs], (words[outputs] & EA).astype(bool))
-
-    def _flags(self, times: Floats, slots: Integers, flags: NDArray[np.bool_]) -> None:
-        if self._alarming is not None and times[0] > self._alarming:
-            self._unflagged = not flags.any()
-            # From the first flag on: the condition may have begun before it.
-            slots, flags = slots[np.argmax(flags) :], flags[np.argmax(flags) :]
-            if len(flags) >= 3 and not self._unflagged:
-                # A flag that depends on the output alone was not cleared by a read.
-                shares = {float(flags[slots == slot].mean()) for slot in np.unique(slots)}
-                label = "set" if flags.all() else "on some outputs" if shares == {0.0, 1.0} else "lost"
-                self.error_flags += [label] * max(np.unique(slots[~flags]).size, 1)
-        if self._ending and not flags[-1] and self._flagged and times[-1] > self._settled_s:
-            self.ended.append(("alarm", False))
-            self._ending = False
-        self._flagged = bool(flags[-1])
+        outputs = np.flatnonzero(_IS_OUTPUT[slots])
+        if outputs.size:
+            flagged = bool(words[outputs[-1]] & EA)
+            if self._ending and self._flagged and not flagged and times[outputs[-1]] > self._settled_s:
+                self.ended.append(("alarm", False))
+                self._ending = False
+            self._flagged = flagged
 
     def _control(self, row: Register, word: int, time_s: float) -> None:
         if row.name == "STATUS":
@@ -470,34 +318,26 @@ class RecordedChip:
                 ready = not word & SELF_TEST
                 self.waits.setdefault("self_test", []).append((time_s - self._testing, ready))
                 self._testing = None if ready else self._testing
-            self.checks.append(Check(row, word, self._contents.get(row.name)))
+            self.reads.append((row, word))
             held = word & row.write_mask
-            self._contents[row.name] = Content(held, held, "read")
+            self._contents[row.name] = held
+            self._verified.add(row.name)
             if self.spans[-1].image.setdefault(row.name, held) != held:
                 self._new_span(time_s)
             self.spans[-1].verified.add(row.name)
 
     def _status(self, word: int, time_s: float) -> None:
-        control = self._contents.get("ALM_CTRL")
-        alone = control is not None and not control.word
         if self._ranged is not None:
             name, number, settled_s = self._ranged
             first = time_s > settled_s if settled_s > -math.inf else None
             self._ranges.append((name, number, first, bool(word & _OVER_RANGE)))
             self._ranged = name, number, -math.inf
         self._status_s = time_s
-        if self._unflagged and word & _ALARMS:
-            self.error_flags.append("missing")
-        self._unflagged = False
         if self._ending:
-            self._cleared = bool(word & _ALARM)
-            if self._cleared or self._proved:
-                self.ended.append(("alarm", self._cleared))
-        elif alone and self._cleared:
-            self.kept_alarms.append(bool(word & _ALARM))
-            self._cleared = False
-        self._ending = False
-        self._flagged = False
+            stays = bool(word & _ALARM)
+            if stays or self._proved:
+                self.ended.append(("alarm", stays))
+        self._ending = self._flagged = False
 
     # -- changes ------------------------------------------------------------------------------------------
 
@@ -523,10 +363,10 @@ class RecordedChip:
                 self._parts[row.name] = done, word
                 self._new_span(time_s)
                 return
-            old = Content(word, -1, "write")
-        word = old.word & ~mask & row.write_mask | byte << shift & mask
-        before = old.before if old.cause == "write" else old.word
-        self._contents[row.name] = Content(word, before, "write")
+            old = word
+        word = old & ~mask & row.write_mask | byte << shift & mask
+        self._contents[row.name] = word
+        self._verified.discard(row.name)
         if reply >= 0:
             self.after_writes.append((frame, word, reply_before, reply))
         self._conditions(row, word, time_s)
@@ -542,9 +382,8 @@ class RecordedChip:
         # The condition acts with the next update.
         self._settled_s = time_s + (0.1 if math.isnan(period_s) else 3 * period_s)
         if row.name == "ALM_CTRL":
-            self._ending = not word and self._alarming is not None
+            self._ending, self._alarming = self._alarming and not word, word > 0
             self._proved = self._flagged
-            self._alarming = self._settled_s if word else None
         elif row.name in ACCEL_OFF:
             # The bit was set again since STATUS was read, and the filter has to settle.
             again = self._status_s + self._settled_s - time_s < time_s
@@ -571,29 +410,14 @@ class RecordedChip:
                     self.ended.append(("over_range", bit))
 
     def _command(self, name: str, time_s: float) -> None:
-        known = {key: content.word for key, content in self._contents.items()}
-        if name != "reset":
-            changed = {"restore": (*GYRO_OFF, *ACCEL_OFF)}.get(name, GYRO_OFF if "null" in name else ())
-            for key in changed:
-                if name == "restore":
-                    self._contents[key] = Content(0, known.get(key, 0), name)
-                else:
-                    self._contents.pop(key, None)
-            self._flash = {
-                key: content.word & BY_NAME[key].flash_mask
-                for key, content in self._contents.items()
-                if BY_NAME[key].flash_mask
-            }
-            self._counting.append(name)
+        nulled = GYRO_OFF if "null" in name else ()
+        lost = {"reset": [*self._contents], "restore": [*GYRO_OFF, *ACCEL_OFF]}.get(name, nulled)
+        for key in lost:  # they are known again when they are read
+            self._contents.pop(key, None)
+        if name == "reset":
+            self._ending = self._flagged = self._alarming = False
         else:
-            self._contents = {
-                row.name: Content(self._flash.get(row.name, 0), known.get(row.name, 0), name)
-                for row in BY_NAME.values()
-                if row.name in self._flash or (row.write_mask and not row.flash_mask)
-            }
-            self._contents.pop("COMMAND", None)
-            self._ending = self._flagged = self._unflagged = False
-            self._alarming = None
+            self._counting.append(name)
         self._pending = name, time_s
         self._testing = self._ranged = None
         self._new_span(time_s)
@@ -601,9 +425,8 @@ class RecordedChip:
             self.nulls.append((len(self.spans) - 1, name))
 
     def _new_span(self, time_s: float) -> None:
-        image = {name: content.word for name, content in self._contents.items()}
-        verified = {name for name, content in self._contents.items() if content.cause == "read"}
-        span, before = RegisterSpan(time_s, image, time_s, verified), self.spans[-1]
+        before = self.spans[-1]
+        span = RegisterSpan(time_s, dict(self._contents), time_s, self._verified & self._contents.keys())
         if self._pending is None and span.settings(*READING_BITS) == before.settings(*READING_BITS):
             span.changed_s = before.changed_s
         self.spans.append(span)

@@ -60,11 +60,6 @@ class Offset(BringupStep):
         bench.bus.sleep_s(2 * sensor.configuration().sample_period_s)
         bench.repeated(ACCEL_OUT[0], 2)
         sensor.write(ACCEL_OFF[0], held[0])
-        for name, value in zip(ACCEL_OFF, held, strict=True):
-            # A low byte alone: does it act without the high byte?
-            word = BY_NAME[name].word(value) ^ 0x40
-            bench.bus.exchange_array(table.write_frames(BY_NAME[name], word, byte_mask=0x00FF))
-            sensor.read(name)
         return found
 
 
