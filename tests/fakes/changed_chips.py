@@ -409,10 +409,6 @@ CHANGES: dict[str, Change] = {
     "one byte is read twice": Change("reserved_bits", ReservedMirror),
     "offsets are sign-extended": Change("offset_upper_bits", OffsetsExtended),
     "upper bits of offsets are ones": Change("offset_upper_bits", OffsetsOnes),
-    "any read clears STATUS": Change("alarm_stays", StatusClearedByAnyRead),
-    "an alarm's bit falls": Change("alarm_stays", AlarmFalls),
-    "a flash update counts two": Change("flash_count", CountsTwice),
-    "a flash update counts nothing": Change("flash_count", CountsNever),
     "a flash update takes 0.25 s": Change("flash_time", FlashSlow),
     "a flash update takes 1 s": Change("flash_time", FlashVerySlow),
     "a precise null takes 60 s": Change("precision_time", PrecisionSlow),
@@ -429,12 +425,6 @@ CHANGES: dict[str, Change] = {
     "gyro offsets count 4": Change("gyro_offset_lsb", _offset_factor(GYRO_COLUMNS, 4)),
     "gyro offsets are subtracted": Change("gyro_offset_lsb", _offset_factor(GYRO_COLUMNS, -1)),
     "offsets act before the filter": Change("offset_after_filter", _with_chain(OffsetBeforeFilter)),
-    "gyros are deaf to the negative test": Change("self_test_gyro", _with_chain(GyrosPositiveOnly)),
-    "gyros answer the same way": Change("self_test_gyro", _with_chain(GyrosSameWay)),
-    "accelerometers answer to both": Change("self_test_accel", _with_chain(AccelsBothSigns)),
-    "the period is base times N": Change("sample_period", PeriodOfN),
-    "there is one time base": Change("sample_period", OneTimeBase),
-    "the slow base is 16 fast ones": Change("sample_period", SlowBaseOf16),
     "the pulse ends at the update": Change("data_ready_edge", options={"update_edge": "last"}),
     "a pulse of 0.2 ms ends at the update": Change(
         "data_ready_edge", options={"update_edge": "last", "data_ready_pulse_s": 200e-6}
@@ -443,6 +433,23 @@ CHANGES: dict[str, Change] = {
     "an autonull truncates to the output's LSB": Change("autonull_rounding", _truncating(4)),
 }
 """Changed chips by the change."""
+
+OF_STEPS: dict[str, Change] = {
+    "an alarm's bit falls": Change("alarm_stays", AlarmFalls),
+    "any read clears STATUS": Change("alarm_stays", StatusClearedByAnyRead),
+    "a flash update counts two": Change("flash_count", CountsTwice),
+    "a flash update counts nothing": Change("flash_count", CountsNever),
+    "gyros are deaf to the negative test": Change("self_test_gyro", _with_chain(GyrosPositiveOnly)),
+    "gyros answer the same way": Change("self_test_gyro", _with_chain(GyrosSameWay)),
+    "accelerometers answer to both": Change("self_test_accel", _with_chain(AccelsBothSigns)),
+    "the period is base times N": Change("sample_period", PeriodOfN),
+    "there is one time base": Change("sample_period", OneTimeBase),
+    "the slow base is 16 fast ones": Change("sample_period", SlowBaseOf16),
+    "the filter is one boxcar": Change("filter_gain", _with_chain(OneBoxcar)),
+    "the filter has twice the taps": Change("filter_gain", _with_chain(TwiceTheTaps)),
+    "the filter has M + 1 taps": Change("filter_gain", _with_chain(MTaps)),
+}
+"""Chips that a step of the bring-up contradicts; `rule` is the question that the step answers."""
 
 DIRECTIONS = ((0, 0, -1), (0, 1, 0), (-1, 0, 0), (0.6, 0.0, -0.8))
 

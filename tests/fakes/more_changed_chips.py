@@ -26,6 +26,7 @@ from fakes.changed_chips import (
     _OtherPeriod,
     _Slow,
     _TestSlow,
+    _with_chain,
 )
 
 # -- words on the wire -----------------------------------------------------------------------------------
@@ -188,15 +189,20 @@ CHANGES: dict[str, Change] = {
     "a write returns the old content": Change("reply_to_write", WriteReturnsOld),
     "bit 3 of SENS_AVG reads one": Change("reserved_bits", SensAvgBitThree),
     "offsets read as 14-bit numbers": Change("offset_upper_bits", OffsetsOfFourteenBits),
-    "an alarm switched off clears its bit": Change("alarm_stays", AlarmOffClears),
-    "over-range stays until a read": Change("over_range_falls", OverRangeStays),
-    "a flash update without a change is not counted": Change("flash_count", CountsChangesOnly),
     "the self-test takes 70 ms": Change("self_test_time", SelfTestOf70Ms),
     "a precise null takes 45 s": Change("precision_time", PrecisionOf45S),
     "accelerometer offsets count 1/4": Change("accel_offset_lsb", _offset_factor(ACCEL_COLUMNS, 0.25)),
-    "the slow base is 32 fast ones": Change("sample_period", SlowBaseOf32),
 }
 """Further changed chips by the change."""
+
+OF_STEPS: dict[str, Change] = {
+    "an alarm switched off clears its bit": Change("alarm_stays", AlarmOffClears),
+    "over-range stays until a read": Change("over_range_falls", OverRangeStays),
+    "a flash update without a change is not counted": Change("flash_count", CountsChangesOnly),
+    "the slow base is 32 fast ones": Change("sample_period", SlowBaseOf32),
+    "the second boxcar has half the taps": Change("filter_gain", _with_chain(HalfSecondBoxcar)),
+}
+"""Further chips that a step of the bring-up contradicts."""
 
 SOUND: dict[str, Change] = {
     "on a machine's table": Change("", OnMachine),

@@ -97,7 +97,7 @@ def test_a_ctrl_c_at_any_write_ends_the_run_with_the_registers_put_back(at, time
     assert found.stopped
     assert registers_of(bus) == before
     assert found.undone_ok
-    assert found.rows[-1].text == "not measured: stopped by the operator"
+    assert found.rows[-1].text == "stopped by the operator"
     assert [row.name for row in found.rows] == [step.name for step in steps(*SHORT)]
 
 
@@ -111,7 +111,7 @@ def test_a_ctrl_c_while_a_row_is_shown_keeps_the_rows():
     found = bring_up(bus, permission=WRITES, steps=steps(*SHORT), tell=show)
     assert found.stopped
     assert found.row("offset").verdict is Verdict.OK
-    assert found.row("status").text == "not measured: stopped by the operator"
+    assert found.row("status").text == "stopped by the operator"
     assert registers_of(bus) == before
 
 

@@ -31,7 +31,7 @@ def build_page(found: Bringup) -> str:
 
 
 def _summary(found: Bringup) -> Section:
-    rows = [(row.name, row.verdict, _plain(row.text)) for row in found.rows]
+    rows = [(row.name, row.verdict, row.text) for row in found.rows]
     strong = [k for k, row in enumerate(found.rows) if row.verdict in (Verdict.FAULT, Verdict.DIFFERS)]
     return Section(
         "Results",
@@ -50,7 +50,7 @@ def _answers(found: Bringup) -> Section:
                 question.table,
                 f"{question.source}, {question.confidence}",
                 answer.outcome,
-                "\n".join([_plain(answer.text), *(f"{f.name}: {_value(f)}" for f in answer.figures)]),
+                "\n".join([answer.text, *(f"{f.name}: {_value(f)}" for f in answer.figures)]),
             )
         )
         if answer.outcome is Outcome.CONTRADICTS:
@@ -105,8 +105,3 @@ def _number(value: float, figure: Measured) -> str:
     else:
         text = format_number(value, 6)
     return with_unit(text, figure.unit)
-
-
-def _plain(text: str) -> str:
-    """Remove `not measured: ` from the beginning of a result's text; another column shows it."""
-    return text.removeprefix("not measured: ")

@@ -23,10 +23,8 @@ from adis_gonio.bench.bringup.bringup_step import (
     StepResult,
     writable,
 )
-from adis_gonio.bench.bringup.chip_rows import BY_QUESTION
 from adis_gonio.bench.bringup.link_steps import BitErrors, Health, Link, Timing, WhichPart
 from adis_gonio.bench.bringup.noise_steps import FilterSteps, Noise
-from adis_gonio.bench.bringup.recorded_chip import RecordedChip
 from adis_gonio.bench.bringup.update_steps import DataReady, Rate, SamplePeriods
 from adis_gonio.bench.bringup.write_steps import FlashCount, Offset, SelfTests, StatusBits
 from adis_gonio.device.bus import SpiBus
@@ -50,8 +48,6 @@ STEPS: tuple[BringupStep, ...] = (
     FlashCount(),
 )
 """Steps in order: steps that only read, steps that enable data-ready, steps that write, the flash last."""
-
-NO_ANSWER = "not measured: {}"
 
 
 @dataclass(frozen=True)
@@ -139,8 +135,7 @@ class _Run:
                     result = result if self.rows else new_result(step).fault(failure)
             with self._until_stopped():
                 self.rows.append(result)
-                why = NO_ANSWER.format(result.text.removeprefix("not measured: "))
-                default = Answer(Outcome.NOT_MEASURED, why)
+                default = Answer(Outcome.NOT_MEASURED, result.text)
                 self.answers |= {name: result.answers.get(name, default) for name in step.settles}
                 self.tell(result)
         if self.undo is not None:
@@ -167,7 +162,7 @@ class _Run:
             if changes and self.undo is None:
                 self.undo = Undo(bench.sensor, writable())
             bench.bus.calls.clear()
-            return judge_rows(bench, step, step.run(bench, new_result(step)))
+            return step.run(bench, new_result(step))
         except AdisGonioError as error:
             return new_result(step).fault(f"could not be done: {error}")
         finally:
@@ -190,7 +185,7 @@ class _Run:
         answers = {}
         for question in QUESTIONS:
             answers[question.name] = self.answers.get(question.name) or Answer(
-                Outcome.NOT_MEASURED, NO_ANSWER.format(question.otherwise)
+                Outcome.NOT_MEASURED, question.otherwise
             )
         unrestored = () if self.undo is None else self.undo.unrestored
         if unrestored:
@@ -217,39 +212,6 @@ class _Run:
 def new_result(step: BringupStep) -> StepResult:
     """Return an empty result of a step."""
     return StepResult(step.name, step.does, step.effect)
-
-
-def judge_rows(bench: BringupBench, step: BringupStep, found: StepResult) -> StepResult:
-    """Answer the open questions of a step by the rows of the register table; return its result `found`.
-
-    The rows are judged by the calls of the step. If the step gave no text, the rows also give its verdict:
-    a contradicted row is a difference from the table.
-    """
-    names = [name for name in step.settles if name in BY_QUESTION and name not in found.answers]
-    if not names:
-        return found
-    chip = RecordedChip(bench.bus.calls, bench.bus.edge_rises)
-    for name in names:
-        finding = BY_QUESTION[name].judge([*BY_QUESTION[name].observe(chip, bench.sensor.variant)])
-        if finding.observations:
-            text = f"{finding.question} {finding.best}"
-            if finding.outcome is not Outcome.CONFIRMS:
-                undecided = " (undecided)" if finding.outcome is Outcome.OPEN else ""
-                text += f", the table says {finding.table}{undecided}"
-            if finding.seen != f"{finding.best}: {finding.observations}":
-                text += f" ({finding.seen})"
-            found.answer(name, finding.outcome, text, *(found.figures or finding.measured))
-        elif not found.text:
-            found.answer(name, Outcome.NOT_MEASURED, NO_ANSWER.format("the replies do not show it"))
-    if found.text:
-        return found
-    answers = found.answers.values()
-    if wrong := [one.text for one in answers if one.outcome is Outcome.CONTRADICTS]:
-        return found.differs("; ".join(wrong))
-    if all(one.outcome is Outcome.NOT_MEASURED for one in answers):
-        return found.not_measured("the replies do not show it")
-    texts = [one.text for one in sorted(answers, key=lambda one: one.outcome is Outcome.NOT_MEASURED)]
-    return found.ok("; ".join(dict.fromkeys(texts)))
 
 
 def _bridge(bus: BringupBus) -> dict[str, Any]:

@@ -269,7 +269,16 @@ class StepResult(JsonRecord, frozen=False):
 
     def not_measured(self, why: str) -> StepResult:
         """End a step that could not measure; `why` is the reason. Returns the result."""
-        return self._end(Verdict.NOT_MEASURED, f"not measured: {why}")
+        return self._end(Verdict.NOT_MEASURED, why)
+
+    def by_answers(self) -> StepResult:
+        """End the step by its answers: a contradiction of the table is a difference. Returns the result."""
+        wrong = [one.text for one in self.answers.values() if one.outcome is Outcome.CONTRADICTS]
+        known = [one.text for one in self.answers.values() if one.outcome is not Outcome.NOT_MEASURED]
+        if wrong:
+            return self.differs("; ".join(wrong))
+        texts = "; ".join(known or [one.text for one in self.answers.values()])
+        return self.ok(texts) if known else self.not_measured(texts)
 
     def _end(self, verdict: Verdict, text: str) -> StepResult:
         self.verdict, self.text = verdict, text
@@ -456,9 +465,7 @@ class BringupStep(ABC):
     def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Run the step, fill the result `found` and return it; `bench` has the sensor and earlier findings.
 
-        If the step leaves `found.text` empty, its verdict follows from the rows of the register table that
-        answer its questions (`chip_rows`). These rows are judged by the frames that the step has exchanged
-        with the sensor. Raises `AdisGonioError` if the sensor or the bridge fails.
+        Raises `AdisGonioError` if the sensor or the bridge fails.
         """
 
 

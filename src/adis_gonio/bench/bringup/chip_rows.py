@@ -19,15 +19,14 @@ import math
 import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.base.jsonable import INLINE, JsonRecord
 from adis_gonio.bench.bringup.bringup_step import QUESTIONS, Measured, Outcome, Question
 from adis_gonio.bench.bringup.recorded_chip import RecordedChip, RegisterSpan, RestStatistics
 from adis_gonio.device.bus.capture import LogicCapture
@@ -44,7 +43,6 @@ from adis_gonio.device.sensor.registers import (
     Kind,
     Variant,
 )
-from adis_gonio.device.sensor.settings import FAST_BASE_S, SLOW_BASE_S
 
 ELSE = "something else"
 PRIOR = {"A": 0.999, "B": 0.99, "C": 0.9, "D": 0.7}
@@ -95,18 +93,12 @@ class ChipRow:
         Names of the possible statements, as in the observations; the first is the statement of the table.
     wide : (float, float)
         Range of a figure if none of the alternatives is true.
-    unit : str
-        Unit of the figures; empty for none.
-    logarithmic : bool
-        True if the figures are natural logarithms.
     """
 
     question: Question
     observe: Observer
     alternatives: tuple[str, ...]
-    wide: tuple[float, float] = (-10.0, 10.0)
-    unit: str = ""
-    logarithmic: bool = False
+    wide: tuple[float, float]
 
     def judge(self, observed: Sequence[Observation]) -> RowFinding:
         """Compute the probabilities of the alternatives after the observations `observed`."""
@@ -131,24 +123,22 @@ class ChipRow:
         elif table > 1 - DECIDED and evidence > 0:
             outcome = Outcome.CONFIRMS
         return RowFinding(
-            self.question.name, self.question.text, names[0], self.question.source,
-            self.question.confidence, outcome, max(chances, key=lambda name: chances[name]),
-            len(observed), evidence, chances, self._described(labels, figures),
-            tuple(self._measured(number, figure) for number, figure in enumerate(figures, 1)),
+            replace(self.question, table=names[0]), outcome, max(chances, key=lambda name: chances[name]),
+            len(observed), evidence, chances, _described(labels, figures),
+            tuple(
+                Measured(f"{self.question.name} {k}", float(figure.x), "1", figure.u)
+                for k, figure in enumerate(figures, 1)
+            ),
         )  # fmt: skip
 
-    def _measured(self, number: int, figure: RowFigure) -> Measured:
-        value, scale = (math.exp(figure.x),) * 2 if self.logarithmic else (float(figure.x), 1.0)
-        return Measured(f"{self.question.name} {number}", value, self.unit or "1", scale * figure.u)
 
-    def _described(self, labels: Counter[str], figures: Sequence[RowFigure]) -> str:
-        parts = [f"{label}: {count}" for label, count in labels.most_common(3)]
-        if figures:
-            x = [math.exp(figure.x) if self.logarithmic else figure.x for figure in figures]
-            few = ", ".join(f"{one:.3g}" for one in x)
-            few = few if len(x) < 5 else f"{len(x)} figures {min(x):.3g} … {max(x):.3g}"
-            parts.append(f"{few} {self.unit}".rstrip())
-        return "; ".join(parts)
+def _described(labels: Counter[str], figures: Sequence[RowFigure]) -> str:
+    parts = [f"{label}: {count}" for label, count in labels.most_common(3)]
+    if figures:
+        x = [figure.x for figure in figures]
+        few = ", ".join(f"{one:.3g}" for one in x)
+        parts.append(few if len(x) < 5 else f"{len(x)} figures {min(x):.3g} … {max(x):.3g}")
+    return "; ".join(parts)
 
 
 class RowFinding(JsonRecord):
@@ -156,10 +146,8 @@ class RowFinding(JsonRecord):
 
     Attributes
     ----------
-    name, question : str
-        Name of the row, and the question that it answers.
-    table, source, confidence : str
-        Statement of the table, its source and its confidence (A–D).
+    question : Question
+        Name of the row, its question, and the statement of the table with its source and confidence.
     outcome : Outcome
         Verdict on the statement of the table.
     best : str
@@ -177,11 +165,7 @@ class RowFinding(JsonRecord):
         The observed figures, in order.
     """
 
-    name: str
-    question: str
-    table: str
-    source: str
-    confidence: str
+    question: Question = field(metadata=INLINE)
     outcome: Outcome
     best: str
     observations: int
@@ -189,6 +173,11 @@ class RowFinding(JsonRecord):
     probabilities: dict[str, float]
     seen: str
     measured: tuple[Measured, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Name of the row."""
+        return self.question.name
 
 
 def _of_labels(names: Sequence[str], labels: Counter[str]) -> Floats:
@@ -269,10 +258,6 @@ def _upper_bits(chip: RecordedChip, _: Variant) -> Iterator[str]:
             yield "zeros" if not extra else ELSE if extra != upper else "the sign" if negative else "ones"
 
 
-def _counts(chip: RecordedChip, _: Variant) -> Iterator[str]:
-    yield from (f"{change:+d}" for name, change in chip.counts if name == "flash_update")
-
-
 def _waits(command: str) -> Observer:
     def observe(chip: RecordedChip, _: Variant) -> Iterator[str]:
         table_s = BUSY_S.get(command, SELF_TEST_S)
@@ -283,66 +268,6 @@ def _waits(command: str) -> Observer:
                 yield "longer"
 
     return observe
-
-
-def _ends(condition: str) -> Observer:
-    """Return a function that yields whether a bit of STATUS stays or falls when a write ends its condition.
-
-    The function takes a recorded chip; `condition` is `alarm` or `over_range`.
-    """
-
-    def observe(chip: RecordedChip, _: Variant) -> Iterator[str]:
-        yield from ("stays" if stayed else "falls" for name, stayed in chip.ended if name == condition)
-
-    return observe
-
-
-def _periods(chip: RecordedChip, _: Variant) -> Iterator[RowFigure]:
-    """Yield the logarithms of measured sample periods divided by their nominal periods.
-
-    There is one figure for each value of SMPL_PRD. The most precise period is judged as it is. Each other
-    period is judged by its ratio to the most precise one, which the error of the chip's clock (3 %) does
-    not change.
-    """
-    bursts: dict[int, list[tuple[float, float]]] = {}
-    for span in chip.spans:
-        for times, words in (run for runs in span.outputs.values() for run in runs):
-            if len(times) <= 8 or math.isnan(span.period_s):
-                continue
-            step_s, new = float(np.median(np.diff(times))), (words & ND).astype(bool)
-            at = np.flatnonzero(new[1:] & ~new[:-1]) + 1  # reads of one register that find an update
-            if step_s > 0 and len(at) > 2 and (at[-1] - at[0]) / (len(at) - 1) > 2.5:
-                # Each end is uncertain by one read, uniformly.
-                reads = float(at[-1] - at[0])
-                measured = math.log(reads / (len(at) - 1) * step_s), math.sqrt(1 / 6) / reads
-                bursts.setdefault(span.image["SMPL_PRD"] & 0xFF, []).append(measured)
-    periods = {code: np.median(of_code, axis=0).tolist() for code, of_code in bursts.items()}
-    best = min(periods, key=lambda code: periods[code][1], default=0)
-    for code, (log, u) in periods.items():
-        reference = _due_periods(best) if code != best else {}
-        shared, u = (periods[best][0], math.hypot(u, periods[best][1])) if reference else (0.0, 0.01)
-        due = {name: one - reference.get(name, 0.0) for name, one in _due_periods(code).items()}
-        # Between two measurements the clocks of part and host change by 0.4 % at most.
-        wide = dict.fromkeys(due, 0.004 if reference else 0.03)
-        if code >> 7 and not (reference and best >> 7):
-            wide[_OTHER_BASE] = math.log(2)
-        nominal = due["base × (N + 1)"]
-        predicted = {name: (d - nominal - wide[name], d - nominal + wide[name]) for name, d in due.items()}
-        yield RowFigure(log - shared - nominal, u, predicted)
-
-
-_OTHER_BASE = "another slow base"
-
-
-def _due_periods(code: int) -> dict[str, float]:
-    """Return the natural logarithm of the sample period in s that each alternative predicts.
-
-    `code` is the value of SMPL_PRD.
-    """
-    base, n = (FAST_BASE_S, SLOW_BASE_S)[code >> 7], code & 0x7F
-    due = {"base × (N + 1)": base * (n + 1), "base × N": base * max(n, 1)}
-    due |= {"bit 7 has no effect": FAST_BASE_S * (n + 1), _OTHER_BASE: base * (n + 1)}
-    return {name: math.log(period_s) for name, period_s in due.items()}
 
 
 def _mean_u(part: Variant, rest: RestStatistics, columns: slice) -> float:
@@ -424,30 +349,6 @@ def _after_filter(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
                 yield RowFigure((share - ramp) / (1 - ramp), 0.05 + sigma / abs(changed), predicted)
 
 
-def _self_test(columns: slice, alike: str) -> Observer:
-    """Return a function that labels the responses of three axes to both signs of the manual self-test.
-
-    The function takes a recorded chip and its variant. `columns` chooses the axes. `alike` is the label of
-    an axis with responses of one sign to both signs.
-    """
-
-    def observe(chip: RecordedChip, part: Variant) -> Iterator[str]:
-        latest: dict[int, RestStatistics] = {}
-        for rest in chip.rests:
-            if np.isfinite(rest.mean).all():
-                latest[rest.span.image.get("MSC_CTRL", 0) >> 8 & 3] = rest
-        if {0, 1, 2} <= latest.keys():
-            up, down = (latest[key].mean[columns] - latest[0].mean[columns] for key in (1, 2))
-            limit = 8 * max(_mean_u(part, rest, columns) for rest in latest.values())
-            for plus, minus in zip(up.tolist(), down.tolist(), strict=True):
-                if abs(plus) > limit and abs(minus) > limit:
-                    yield "to both" if plus * minus < 0 else alike
-                else:
-                    yield "to the positive" if abs(plus) > limit else ELSE
-
-    return observe
-
-
 def _edge(chip: RecordedChip, _: Variant) -> Iterator[str]:
     for words in chip.edges:
         flags = (words & ND).astype(bool)
@@ -505,18 +406,19 @@ _ROUNDINGS = ("rounded", "truncated to its LSB", "truncated to the output's LSB"
 # -- table ------------------------------------------------------------------------------------------------
 
 
-def _entry(text: str, observe: Observer, *alternatives: str, **figures: Any) -> ChipRow:
+def _entry(
+    text: str, observe: Observer, *alternatives: str, wide: tuple[float, float] = (-10.0, 10.0)
+) -> ChipRow:
     """Return a row of hypotheses on one question about the chip.
 
     `text` is the name of a question of the bring-up, or name, question, source and confidence separated by
     ` | `. `observe` yields the observations of a recorded chip, and `alternatives` are the possible
-    statements, the statement of the table first. `figures` are attributes of the row for its figures:
-    `wide`, `unit`, `logarithmic`.
+    statements, the statement of the table first. `wide` is the range of a figure if none is true.
     """
     name, *own = text.split(" | ")
     asked = {question.name: question for question in QUESTIONS}
     question = Question(name, own[0], alternatives[0], own[1], own[2], "") if own else asked[name]
-    return ChipRow(question, observe, alternatives, **figures)
+    return ChipRow(question, observe, alternatives, wide)
 
 
 _ACCELS, _GYROS = slice(0, 3), slice(3, 6)
@@ -533,9 +435,6 @@ ROWS: tuple[ChipRow, ...] = (
            "zeros", "ones"),
     _entry("offset_upper_bits | Bits above the number of an offset? | estimate | D", _upper_bits,
            "zeros", "the sign", "ones"),
-    _entry("alarm_stays", _ends("alarm"), "stays", "falls"),
-    _entry("over_range_falls", _ends("over_range"), "falls", "stays"),
-    _entry("flash_count", _counts, "+1", "+0"),
     _entry("reset_time | Recovery from a reset within 0.15 s? | DS, start-up | B", _waits("reset"),
            "in time", "longer", "shorter"),
     _entry("flash_time | Flash update within 0.1 s? | DS | B", _waits("flash_update"),
@@ -550,12 +449,6 @@ ROWS: tuple[ChipRow, ...] = (
     _entry("offset_after_filter", _after_filter, "after", "before"),
     _entry("autonull_rounding | Does an autonull round or truncate? | estimate | D", _rounding,
            *_ROUNDINGS, wide=(-50.0, 50.0)),
-    _entry("sample_period", _periods,
-           "base × (N + 1)", "base × N", "bit 7 has no effect", _OTHER_BASE,
-           wide=(-10.0, 5.0), unit="times the nominal", logarithmic=True),
-    _entry("self_test_gyro", _self_test(_GYROS, "the same way"),
-           "to both", "the same way", "to the positive"),
-    _entry("self_test_accel", _self_test(_ACCELS, "to both"), "to the positive", "to both"),
     _entry("data_ready_edge", _edge, "the first", "the second"),
 )
 # fmt: on
@@ -590,8 +483,8 @@ def findings_text(findings: Sequence[RowFinding]) -> str:
         size = abs(one.log10_evidence)
         odds = f"{10**size:.0f}" if size < 4 else f"1e{min(size, 99):.0f}"
         odds = f"{odds}:1" if one.log10_evidence >= 0 else f"1:{odds}"
-        lines.append(f"{one.name:20}{one.table[:17]:18}{one.best[:17]:18}{odds:>8}  {one.outcome}")
-        lines.append(f"  {one.question} {one.seen}"[:80])
+        lines.append(f"{one.name:20}{one.question.table[:17]:18}{one.best[:17]:18}{odds:>8}  {one.outcome}")
+        lines.append(f"  {one.question.text} {one.seen}"[:80])
     lines += ["", "evidence: odds of the table against its best rival, by the recordings alone"]
     idle = ", ".join(one.name for one in findings if not one.observations)
     return "\n".join(

@@ -10,7 +10,6 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,6 @@ from adis_gonio.device.sensor.registers import (
     ACCEL_OUT,
     BY_ADDRESS,
     BY_NAME,
-    EA,
     GYRO_OFF,
     GYRO_OUT,
     ND,
@@ -39,9 +37,6 @@ from adis_gonio.device.sensor.registers import (
 Integers = NDArray[np.int64]
 _COMMAND, _MISC = BY_NAME["COMMAND"], BY_NAME["MSC_CTRL"]
 SELF_TEST = _MISC.field("self_test").mask
-_ALARM = BY_NAME["STATUS"].field("alarm1").mask
-_OVER_RANGE = BY_NAME["STATUS"].field("over_range").mask
-_IS_OUTPUT = np.array([slot in BY_ADDRESS and BY_ADDRESS[slot].flags for slot in range(64)])
 
 
 @dataclass
@@ -160,11 +155,6 @@ class RecordedChip:
         For each write: frame, content after it, reply to the frame before, and reply to the write.
     waits : dict of str to list of (float, bool)
         By command: times in s after the command at which the chip was seen ready (True) or not.
-    counts : list of (command, int)
-        Change of ENDURANCE by each command that saves to flash.
-    ended : list of (str, bool)
-        Name of a condition (`alarm` or `over_range`) that a write ended, and True if its bit in STATUS
-        stayed until STATUS was read; False if the bit cleared before.
     nulls : list of (int, str)
         Index of the span after each autonull, and its command.
     edges : list of (k, n) int64
@@ -176,8 +166,6 @@ class RecordedChip:
         self.reads: list[tuple[Register, int]] = []
         self.after_writes: list[tuple[int, int, int, int]] = []
         self.waits: dict[str, list[tuple[float, bool]]] = {}
-        self.counts: list[tuple[str, int]] = []
-        self.ended: list[tuple[str, bool]] = []
         self.nulls: list[tuple[int, str]] = []
         self.edges: list[Integers] = []
         # Contents by name as far as they are known, and names of the registers read since they changed.
@@ -190,20 +178,7 @@ class RecordedChip:
         self._pending: tuple[str, float] | None = None
         self._unsure: list[tuple[Floats, Integers, Integers]] = []
         self._testing: float | None = None
-        self._endurance: int | None = None
-        self._counting: list[str] = []
-        # True if the newest output word had EA, while an alarm is set, and after it was switched off.
-        self._flagged = self._alarming = self._ending = False
-        self._proved = False
-        self._settled_s = math.inf
-        # Last change of an accelerometer's offset: register, number, time in s from which STATUS shows it.
-        self._ranged: tuple[str, int, float] | None = None
-        self._status_s = -math.inf
-        # For each word of STATUS: register, number, True if it is the first word and shows the change (None
-        # for a later word), bit.
-        self._ranges: list[tuple[str, int, bool | None, bool]] = []
         self._follow(calls)
-        self._judge_ranges()
 
     @cached_property
     def rests(self) -> list[RestStatistics]:
@@ -298,46 +273,21 @@ class RecordedChip:
             else:
                 for time_s, word in dict(zip(times[chosen], words[chosen], strict=True)).items():
                     self._control(row, int(word), float(time_s))
-        outputs = np.flatnonzero(_IS_OUTPUT[slots])
-        if outputs.size:
-            flagged = bool(words[outputs[-1]] & EA)
-            if self._ending and self._flagged and not flagged and times[outputs[-1]] > self._settled_s:
-                self.ended.append(("alarm", False))
-                self._ending = False
-            self._flagged = flagged
 
     def _control(self, row: Register, word: int, time_s: float) -> None:
-        if row.name == "STATUS":
-            self._status(word, time_s)
-        elif row.name == "ENDURANCE":
-            if self._endurance is not None and len(self._counting) == 1:
-                self.counts.append((self._counting[0], (word - self._endurance) % 32768))
-            self._endurance, self._counting = word, []
-        elif row.name not in ("SLP_CNT", "GPIO_CTRL"):  # these also change without a write
-            if row is _MISC and self._testing is not None:
-                ready = not word & SELF_TEST
-                self.waits.setdefault("self_test", []).append((time_s - self._testing, ready))
-                self._testing = None if ready else self._testing
-            self.reads.append((row, word))
-            held = word & row.write_mask
-            self._contents[row.name] = held
-            self._verified.add(row.name)
-            if self.spans[-1].image.setdefault(row.name, held) != held:
-                self._new_span(time_s)
-            self.spans[-1].verified.add(row.name)
-
-    def _status(self, word: int, time_s: float) -> None:
-        if self._ranged is not None:
-            name, number, settled_s = self._ranged
-            first = time_s > settled_s if settled_s > -math.inf else None
-            self._ranges.append((name, number, first, bool(word & _OVER_RANGE)))
-            self._ranged = name, number, -math.inf
-        self._status_s = time_s
-        if self._ending:
-            stays = bool(word & _ALARM)
-            if stays or self._proved:
-                self.ended.append(("alarm", stays))
-        self._ending = self._flagged = False
+        if not row.writable or row.name in ("SLP_CNT", "GPIO_CTRL"):
+            return  # it also changes without a write
+        if row is _MISC and self._testing is not None:
+            ready = not word & SELF_TEST
+            self.waits.setdefault("self_test", []).append((time_s - self._testing, ready))
+            self._testing = None if ready else self._testing
+        self.reads.append((row, word))
+        held = word & row.write_mask
+        self._contents[row.name] = held
+        self._verified.add(row.name)
+        if self.spans[-1].image.setdefault(row.name, held) != held:
+            self._new_span(time_s)
+        self.spans[-1].verified.add(row.name)
 
     # -- changes ------------------------------------------------------------------------------------------
 
@@ -369,57 +319,15 @@ class RecordedChip:
         self._verified.discard(row.name)
         if reply >= 0:
             self.after_writes.append((frame, word, reply_before, reply))
-        self._conditions(row, word, time_s)
         self._new_span(time_s)
-
-    def _conditions(self, row: Register, word: int, time_s: float) -> None:
-        """Note the beginning or the end of an alarm or an over-range condition that a write may cause.
-
-        The write changed the content of register `row` to `word` at `time_s`. ALM_CTRL starts and ends
-        alarms; an offset of an accelerometer may move its output out of the range or back.
-        """
-        period_s = self.spans[-1].period_s
-        # The condition acts with the next update.
-        self._settled_s = time_s + (0.1 if math.isnan(period_s) else 3 * period_s)
-        if row.name == "ALM_CTRL":
-            self._ending, self._alarming = self._alarming and not word, word > 0
-            self._proved = self._flagged
-        elif row.name in ACCEL_OFF:
-            # The bit was set again since STATUS was read, and the filter has to settle.
-            again = self._status_s + self._settled_s - time_s < time_s
-            filter_s = settings.filter_settling_samples(self.spans[-1].m or 0) * period_s
-            self._ranged = row.name, row.number(word), self._settled_s + filter_s if again else math.inf
-
-    def _judge_ranges(self) -> None:
-        """Note in `ended` whether the over-range bit stayed after an offset ended the condition.
-
-        The offset at which the output reaches the limit of the range is found from the words of STATUS: a
-        bit in the second or a later word at an offset was set again, so that the output was still out of
-        range. Offsets within 100 LSB of the limit are left out, because noise sets the bit there.
-        """
-        for name in ACCEL_OFF:
-            words = [one[1:] for one in self._ranges if one[0] == name]
-            over = np.array([number for number, first, bit in words if bit and first is None])
-            inside = np.array([number for number, _, bit in words if not bit])
-            if not (len(over) and len(inside)):
-                continue
-            side = 1 if over.mean() > inside.mean() else -1
-            most = min(int((side * inside).max()), int((side * over).min()) - 100)
-            for (_, _, before), (number, first, bit) in pairwise(words):
-                if before and first and side * number <= most:
-                    self.ended.append(("over_range", bit))
 
     def _command(self, name: str, time_s: float) -> None:
         nulled = GYRO_OFF if "null" in name else ()
         lost = {"reset": [*self._contents], "restore": [*GYRO_OFF, *ACCEL_OFF]}.get(name, nulled)
         for key in lost:  # they are known again when they are read
             self._contents.pop(key, None)
-        if name == "reset":
-            self._ending = self._flagged = self._alarming = False
-        else:
-            self._counting.append(name)
         self._pending = name, time_s
-        self._testing = self._ranged = None
+        self._testing = None
         self._new_span(time_s)
         if "null" in name:
             self.nulls.append((len(self.spans) - 1, name))

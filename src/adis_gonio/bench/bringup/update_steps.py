@@ -34,6 +34,11 @@ _BENT = 0.02
 """Largest relative error of a bridge's times while the rate of its clock is being estimated."""
 
 
+_CLOCK, _STEADY = 0.03, 0.004
+"""Largest relative error of the part's clock, and of the ratio of two periods (the clocks of part and host
+change)."""
+
+
 @dataclass(frozen=True)
 class Period:
     """Measured period of the sensor's sample updates in s, with its standard uncertainty."""
@@ -388,7 +393,7 @@ class SamplePeriods(BringupStep):
 
         The nominal period is the time base (bit 7 of the value) times (N + 1), with N in bits 0 to 6.
         """
-        why = ""
+        why, ratios = "", []
         for code in self._codes:
             bench.sensor.write("SMPL_PRD", code)
             expected = sample_period_s(code) * bench.clock
@@ -399,4 +404,19 @@ class SamplePeriods(BringupStep):
                 continue
             name, ms = f"period at 0x{code:02X}", 1e3 * period.value_s
             found.measure(name, ms, "ms", 1e3 * period.u_s, 1e3 * expected)
-        return found if found.figures else found.not_measured(why)
+            ratios.append((period.value_s / expected, period.u_s / expected))
+        if not ratios:
+            return found.not_measured(why)
+        # All periods come from one clock, whose error the most precise ratio shows.
+        ratio, u = np.array(ratios).T
+        best = int(np.argmin(u))
+        limit = np.where(np.arange(len(u)) == best, _CLOCK, _STEADY) + Z * np.hypot(u, u[best])
+        off = ratio / np.where(np.arange(len(u)) == best, 1.0, ratio[best]) - 1
+        wrong = [
+            f"{figure.name} is {figure.value:.4g} ms instead of {figure.expected:.4g} ms"
+            for figure, one, most in zip(found.figures, off, limit, strict=True)
+            if abs(one) > most
+        ]
+        text = "; ".join(wrong) or "every period is the time base times (N + 1)"
+        found.check("sample_period", not wrong, text, *found.figures)
+        return found.by_answers()

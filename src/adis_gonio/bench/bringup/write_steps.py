@@ -16,6 +16,8 @@ from adis_gonio.bench.bringup.bringup_step import (
     StepResult,
     Z,
 )
+from adis_gonio.bench.bringup.chip_rows import BY_QUESTION
+from adis_gonio.bench.bringup.recorded_chip import RecordedChip
 from adis_gonio.device.sensor import registers as table
 from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, BY_NAME, GYRO_OUT
 from adis_gonio.device.sensor.settings import Alarm, scales, sens_avg_word
@@ -60,7 +62,16 @@ class Offset(BringupStep):
         bench.bus.sleep_s(2 * sensor.configuration().sample_period_s)
         bench.repeated(ACCEL_OUT[0], 2)
         sensor.write(ACCEL_OFF[0], held[0])
-        return found
+        chip = RecordedChip(bench.bus.calls)
+        for name in self.settles:
+            finding = BY_QUESTION[name].judge([*BY_QUESTION[name].observe(chip, sensor.variant)])
+            text = "the replies do not show it"
+            if finding.observations:
+                table = f", the table says {finding.question.table}"
+                said = "" if finding.outcome is Outcome.CONFIRMS else table
+                text = f"{finding.question.text} {finding.best}{said} ({finding.seen})"
+            found.answer(name, finding.outcome, text, *finding.measured)
+        return found.by_answers()
 
 
 def _mean_u(bench: BringupBench, count: int) -> Floats:
@@ -120,10 +131,23 @@ class SelfTests(BringupStep):
         ]
         # Answer of each axis to the negative stimulus: 0 none, 1 as to the positive one, −1 the opposite.
         answers = np.where(np.abs(minus) > limit, np.sign(plus * minus), 0)
-        for axes in (slice(0, 3), slice(3, 6)):
+        for question, axes, right in (
+            ("self_test_accel", slice(0, 3), 0),
+            ("self_test_gyro", slice(3, 6), -1),
+        ):
             if len({*answers[axes]}) > 1:
                 wrong.append(f"{', '.join(names[axes])} answer differently to the negative stimulus")
-        return found.fault("; ".join(wrong)) if wrong else found
+            answer = answers[axes][0]
+            text = f"{', '.join(names[axes])} answer {_ANSWERS[answer]}"
+            found.check(question, answer == right, text, *found.figures[axes], *found.figures[6:][axes])
+        return found.fault("; ".join(wrong)) if wrong else found.by_answers()
+
+
+_ANSWERS = {
+    -1: "to both signs of the stimulus",
+    0: "to the positive sign only",
+    1: "in the same direction to both signs",
+}
 
 
 class StatusBits(BringupStep):
@@ -147,17 +171,21 @@ class StatusBits(BringupStep):
         raised = bench.alarm_stands()
         bench.sensor.clear_alarm(1)
         bench.wait_updates()
-        bench.alarm_stands()
-        bench.sensor.read("STATUS")
+        stays = bool(bench.sensor.read("STATUS") & _ALARM)
         bench.wait_updates()
-        kept = bench.sensor.read("STATUS") & _ALARM
+        kept = bool(bench.sensor.read("STATUS") & _ALARM)
+        if raised:
+            until = "until STATUS is read" if stays else "not until STATUS is read"
+            found.check("alarm_stays", stays, f"the bit of an alarm stays {until}")
         self._over_range(bench, found)
         if not raised:
             return found.differs("an alarm on the supply above 1 V does not show as EA")
-        return found.differs("an alarm's bit is not cleared by a read of STATUS") if kept else found
+        if kept:
+            return found.differs("an alarm's bit is not cleared by a read of STATUS")
+        return found.by_answers()
 
     def _over_range(self, bench: BringupBench, found: StepResult) -> None:
-        """Drive one axis over its range by its offset register and back, twice.
+        """Drive one axis over its range by its offset register and back; see if the bit of STATUS falls.
 
         The axis is the one along which gravity is largest.
         """
@@ -175,7 +203,7 @@ class StatusBits(BringupStep):
         needed_mg = 1000 * part.accel_range_g + Z * part.performance.noise_mg
 
         def unknown(why: str) -> None:
-            found.answer("over_range_falls", Outcome.NOT_MEASURED, f"not measured: {why}")
+            found.answer("over_range_falls", Outcome.NOT_MEASURED, why)
 
         if reached_mg < needed_mg:
             unknown(
@@ -184,19 +212,19 @@ class StatusBits(BringupStep):
             )
             return
 
-        def over(number: int) -> bool:
-            bench.wait_updates()  # a bit that the last read cleared is set again
+        def bit_after(number: int) -> bool:
             sensor.write(name, number)
             bench.wait_updates()
-            bench.sensor.read("STATUS")
-            bench.wait_updates(16)
-            return bool(bench.sensor.read("STATUS") & _OVER_RANGE)
+            return bool(sensor.read("STATUS") & _OVER_RANGE)
 
-        if not over(end):
-            unknown(f"{reached_mg:.0f} mg by the offset raise no over-range: it is judged without")
+        bit_after(end)
+        if not bit_after(end):
+            unknown(f"{reached_mg:.0f} mg by the offset raise no over-range")
             return
-        for number in (held, end, held):
-            over(number)
+        bench.wait_updates()  # the read cleared the bit, and the condition sets it again
+        stays = bit_after(held)
+        text = f"after its condition has ended, the bit of over-range {'stays' if stays else 'falls'}"
+        found.check("over_range_falls", not stays, text)
 
 
 class FlashCount(BringupStep):
@@ -225,4 +253,5 @@ class FlashCount(BringupStep):
             return found.fault(str(error))
         found.measure("ENDURANCE before", before)
         found.measure("ENDURANCE after", after, expected=before + 1)
-        return found
+        found.check("flash_count", True, f"ENDURANCE went from {before} to {after}", *found.figures)
+        return found.by_answers()
