@@ -310,17 +310,9 @@ def test_stream_records_a_csv_that_holds_every_scan(capsys, tmp_path):
     np.testing.assert_allclose(session.dwells[0].accel.mean(axis=0) * 0.4672, level, atol=1.0)
 
 
-def test_stream_json_needs_an_end_and_holds_every_value(capsys):
-    assert main(["stream", SIM, "--seconds", "0.5", "--registers", "ZACCL_OUT,XTEMP_OUT", "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
-    assert document["units"] == ["mg", "°C"]
-    assert len(document["values"]) == len(document["time_s"]) == pytest.approx(0.5 * 819.2, abs=2)
-    assert failed(capsys, "stream", SIM, "--json")[0] == 2
-
-
 def test_with_poll_data_ready_is_left_alone_by_stream_and_calibrate(capsys, tmp_path):
     path, flags = tmp_path / "s.session", ("--auto", "--dwell", "0.5", "-o", str(tmp_path / "s.session"))
-    assert main(["stream", SIM, "--seconds", "0.5", "--poll", "--json"]) == 0
+    assert main(["stream", SIM, "--seconds", "0.5", "--poll"]) == 0
     assert "samples/s, polling;" in capsys.readouterr().err
     assert main(["calibrate", SIM, "--poll", *flags]) == 0
     facts = load_session(path).facts

@@ -45,7 +45,7 @@ class Stream:
 
 
 def shown(capsys: pytest.CaptureFixture[str], seconds: float | None, *lengths: int) -> list[str]:
-    show = ShownStream(10, None, lines=True)
+    show = ShownStream(10, None)
     show.run(Stream(*lengths), seconds)
     show.print_totals()
     return capsys.readouterr().out.splitlines()

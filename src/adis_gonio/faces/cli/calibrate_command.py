@@ -157,7 +157,7 @@ def calibrate_command(
     if max_extra is not None and not closing:
         raise UsageError("--max-extra limits the positions that --trace adds: give --trace as well")
     refuse_chip_options(
-        url, _given_flags("rate_hz", "filter_m", "range_dps", "poll", "variant", "no_check")
+        url, option.given_flags("rate_hz", "filter_m", "range_dps", "poll", "variant", "no_check")
     )
     advisor = TraceAdvisor(MOST_EXTRA if max_extra is None else max_extra) if closing else None
     complete = on_screen = False
@@ -295,14 +295,6 @@ def _trace(session: Session, advisor: TraceAdvisor) -> TraceResult | None:
     except FitError as error:
         click.echo(f"not traced: {error}", err=True)
         return None
-
-
-def _given_flags(*names: str) -> dict[str, bool]:
-    """Map the flag of each named parameter (such as `--plan`) to True if it was on the command line."""
-    context = click.get_current_context()
-    flags = {option.name: option.opts[-1] for option in context.command.params}
-    default = click.core.ParameterSource.DEFAULT
-    return {flags[name]: context.get_parameter_source(name) is not default for name in names}
 
 
 def _runner(

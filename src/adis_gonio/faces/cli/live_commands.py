@@ -76,7 +76,6 @@ MISFIT = (
 )  # fmt: skip
 @option.flag("--leave-registers", help="Write nothing; use data-ready only if it is already enabled.")
 @option.poll
-@option.flag("--json", "as_json", help="Write one JSON document with every scan at the end.")
 @option.variant
 @option.no_check
 def stream_command(
@@ -87,7 +86,6 @@ def stream_command(
     every_s: float,
     output: Path | None,
     gravity_mps2: float,
-    as_json: bool,
     **chip: Any,
 ) -> None:
     """Show the sensor's readings, and record them with -o.
@@ -101,8 +99,6 @@ def stream_command(
     """
     _check_positive("--seconds", seconds)
     _check_positive("--every", every_s)
-    if as_json and seconds is None:
-        raise UsageError("--json needs --seconds: a document has an end")
     with contextlib.ExitStack() as stack:
         part, configured, open_stream = _open_stream(stack, url, names, **chip)
         rate_hz, filter_m = configured["sample_rate_hz"], configured.get("filter_m")
@@ -115,13 +111,11 @@ def stream_command(
                     output, part, gravity_mps2=gravity_mps2, title=f"stream {url}", filter_m=filter_m
                 )
             )
-        show = ShownStream(max(1, round(every_s * rate_hz)), recorder, lines=not as_json)
+        show = ShownStream(max(1, round(every_s * rate_hz)), recorder)
         stack.callback(show.print_totals)  # also after a failure: the earlier scans remain
         stream = stack.enter_context(open_stream(min(show.scans_a_line, 1024)))
         say(f"{url.removesuffix(':')}: {rate_hz:.4g} samples/s, {stream.how}")
         show.run(stream, seconds)
-    if as_json:
-        show.print_document()
 
 
 def _check_positive(flag: str, value: float | None) -> None:
@@ -148,16 +142,8 @@ def _open_stream(
     to scan, separated by commas, None for the default ones; the other arguments are the options of
     `stream`, None if not given.
     """
-    asked: dict[str, object] = {
-        "--registers": names,
-        "--leave-registers": leave_registers,
-        "--poll": poll,
-        "--rate": rate_hz,
-        "--filter": filter_m is not None,
-        "--range": range_dps,
-        "--no-check": no_check,
-    }
-    refuse_chip_options(url, asked)
+    own = ("names", "leave_registers", "poll", "rate_hz", "filter_m", "range_dps", "no_check")
+    refuse_chip_options(url, option.given_flags(*own))
     configures = not (rate_hz is filter_m is range_dps is None)
     if leave_registers and configures:
         raise UsageError("--leave-registers writes nothing, so it excludes --rate, --filter and --range")
@@ -188,14 +174,11 @@ class ShownStream:
         Number of scans that one printed line summarises.
     recorder : SamplesRecorder or None
         Recorder of every scan; None does not record.
-    lines : bool
-        True prints lines; False keeps the blocks for `print_document` instead of printing lines.
     """
 
-    def __init__(self, scans_a_line: int, recorder: SamplesRecorder | None, *, lines: bool) -> None:
+    def __init__(self, scans_a_line: int, recorder: SamplesRecorder | None) -> None:
         self.scans_a_line = scans_a_line
         self._recorder = recorder
-        self._lines = lines
         self._waiting: list[Block] = []
         self._columns: Columns | None = None
         self._caveat_printed = False
@@ -220,7 +203,7 @@ class ShownStream:
                 held = sum(map(len, self._waiting))
                 # A remainder of a few scans would make a line that cannot be compared with the others.
                 full = held >= self.scans_a_line or (end and held > self.scans_a_line // 2)
-                if self._lines and full and begin is not None:
+                if full and begin is not None:
                     self._line(begin)
                     self._waiting.clear()
                 if end:
@@ -260,22 +243,6 @@ class ShownStream:
         more = f", {self._dropped} left out without new data (ND)" if self._dropped else ""
         more += f", {self._alarms} with an error or alarm in STATUS (EA)" if self._alarms else ""
         click.echo(f"{counted(self._scans, 'scan')}, {self._lost} lost{more}{where}", err=True)
-
-    def print_document(self) -> None:
-        """Print all scans as one JSON document."""
-        blocks = self._waiting
-        alarms = [block.alarm for block in blocks if block.alarm is not None]
-        document = {
-            "registers": list(blocks[0].registers) if blocks else [],
-            "units": list(blocks[0].units) if blocks else [],
-            "time_s": [float(t) for block in blocks for t in block.time_s],
-            "values": [[float(value) for value in row] for block in blocks for row in block.values()],
-            # None for a sensor that reports no alarms.
-            "alarm": [bool(a) for part in alarms for a in part] if alarms or not blocks else None,
-            "lost": self._lost,
-            "dropped": self._dropped,
-        }
-        click.echo(json.dumps(document))
 
 
 _TIME = 9

@@ -428,6 +428,14 @@ def overrides(function: Callable[..., Any]) -> Callable[..., Any]:
     return _with(with_overrides, *_OVERRIDES)
 
 
+def given_flags(*names: str) -> dict[str, bool]:
+    """Map the flag of each named parameter (such as `--plan`) to True if it was on the command line."""
+    context = click.get_current_context()
+    flags = {one.name: one.opts[-1] for one in context.command.params}
+    default = click.core.ParameterSource.DEFAULT
+    return {flags[name]: context.get_parameter_source(name) is not default for name in names}
+
+
 def measuring_settings(*, rate_hz: float | None, **more: Any) -> Settings:
     """Make the `Settings` of a session at a sample rate in Hz; None takes the fastest rate.
 
