@@ -3,7 +3,7 @@
 import pytest
 from tilt_bench.angle import Coefficients, Goniometer, NotLevelError
 
-from adis_gonio.testing import BusFaults
+from adis_gonio.testing import Faults
 
 FLAWED = "sim:?seed=3&delta_k=0.02&delta_phi_deg=0.5&alpha_deg=0&fixture_sigma_deg=0&vibration_mg=0"
 ANGLES = (0.0, 45.0, 90.0, 135.0, -60.0)
@@ -40,10 +40,10 @@ def test_without_them_it_is_not(simulated_sensor):
     assert max(map(abs, errors_deg(simulated_sensor, Coefficients()))) > 3 * LIMIT_DEG
 
 
-@pytest.mark.adis_gonio(url=FLAWED, bus_faults=BusFaults(seed=7, bit_errors=1e-3))
+@pytest.mark.adis_gonio(url=FLAWED, faults=Faults(seed=7, flip=0.016))
 def test_turned_bits_on_the_wire_do_not_move_the_angle(simulated_sensor):
     assert max(map(abs, errors_deg(simulated_sensor, known(simulated_sensor)))) < LIMIT_DEG
-    assert simulated_sensor.faulty.seen["bit_errors"] > 10
+    assert simulated_sensor.faulty.faults.seen["flip"] > 10
 
 
 @pytest.mark.adis_gonio(url=FLAWED)

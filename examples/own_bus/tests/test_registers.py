@@ -32,7 +32,7 @@ def test_it_sees_the_part_turn(board, simulated_board):
     assert y_lsb() < -1900, "level with Y down it reads about -2140 LSB"
 
 
-@pytest.mark.adis_gonio(line_faults=Faults(seed=1, flip=1.0))
+@pytest.mark.adis_gonio(faults=Faults(seed=1, flip=1.0))
 def test_a_noisy_line_never_gives_a_wrong_word(simulated_board):
     with pytest.raises(OSError):  # noqa: PT011 (a checksum, a time-out or a refusal)
         Board(simulated_board.path, timeout_s=2).read_register(SENS_AVG)

@@ -16,7 +16,7 @@ from adis_gonio.device.sensor import Adis16354
 from adis_gonio.faces.cli import main
 from adis_gonio.sim import SimBus, SimulatedChip, World
 from adis_gonio.sim.testing.bus_contract import BusContract, Rig, WatchedChip
-from adis_gonio.testing import BusFaults, ExpectedFrames, FaultyBus
+from adis_gonio.testing import ExpectedFrames, Faults, FaultyBus
 
 SEED = 11
 
@@ -66,7 +66,7 @@ def test_a_replay_gives_the_driver_the_same_words_and_times(
 
 def test_a_recorded_error_is_raised_again(tmp_path: Path) -> None:
     path = tmp_path / "faults.rec"
-    bus = RecordingBus(FaultyBus(SimBus(World(seed=1)), BusFaults(seed=2, silent=0.3)), path)
+    bus = RecordingBus(FaultyBus(SimBus(World(seed=1)), Faults(seed=2, hang=0.3)), path)
     frames, outcomes = [0x3600, 0x0000], []
     for _ in range(20):
         try:

@@ -49,7 +49,7 @@ def test_pytest_without_a_use_imports_neither_numpy_nor_the_driver(tmp_path):
 def test_the_package_without_pytest_has_its_doubles_all_the_same():
     code = (
         "import sys; sys.modules['pytest'] = None\n"
-        "from adis_gonio.sim.testing import BusFaults, FaultyBus, Faults, open_board, open_simulated\n"
+        "from adis_gonio.sim.testing import FaultyBus, Faults, open_board, open_simulated\n"
         "open_simulated().close()"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=600)
@@ -89,7 +89,7 @@ def test_a_mistake_in_a_mark_fails_in_one_line(tmp_path, mark, says):
 
 def test_the_mark_and_the_fixtures_explain_themselves(tmp_path):
     shown = run(tmp_path, "", "--markers").stdout
-    assert "@pytest.mark.adis_gonio(url, check, bus_faults, line_faults, boot_s)" in shown
+    assert "@pytest.mark.adis_gonio(url, check, faults, boot_s)" in shown
     fixtures = run(tmp_path, "", "--fixtures").stdout
     assert "simulated_sensor" in fixtures
     assert "driver of a simulated chip" in fixtures

@@ -105,7 +105,7 @@ def test_a_board_streams_to_the_driver_without_a_loss(simulated_board):
     assert sum(block.lost for block in blocks) == 0
 
 
-@pytest.mark.adis_gonio(line_faults=Faults(seed=2, flip=0.01))
+@pytest.mark.adis_gonio(faults=Faults(seed=2, flip=0.01))
 def test_flipped_bits_on_the_line_never_become_a_wrong_word(simulated_board):
     with open_sensor(simulated_board.url, check=False) as sensor:
         for _ in range(20):
@@ -121,7 +121,7 @@ def test_another_program_opens_the_pty_by_its_path(simulated_board):
 
 def test_boards_of_one_mark_have_dice_of_their_own():
     faults = Faults(seed=2, flip=0.5)
-    with open_board(line_faults=faults) as one, open_board(line_faults=faults) as other:
+    with open_board(faults=faults) as one, open_board(faults=faults) as other:
         one.faults.happens("flip")
         assert one.faults.dice.getstate() != faults.dice.getstate() == other.faults.dice.getstate()
 

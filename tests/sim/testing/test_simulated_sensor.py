@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import AdisGonioError
-from adis_gonio.sim.testing import BusFaults, open_simulated
+from adis_gonio.sim.testing import Faults, open_simulated
 
 STEADY = "&".join(f"bias_tempco_{axis}_mg_per_c=0&scale_tempco_{axis}_ppm_per_c=0" for axis in "xyz")
 QUIET = f"noise_mg=0&bias_instability_mg=0&fixture_sigma_deg=0&{STEADY}"
@@ -60,12 +60,12 @@ def test_the_seed_gives_the_same_words_again_and_another_seed_others():
     assert (words(5) != words(6)).any()
 
 
-@pytest.mark.adis_gonio(bus_faults=BusFaults(seed=1, busy=1.0))
+@pytest.mark.adis_gonio(faults=Faults(seed=1, busy=1.0))
 def test_faults_begin_when_the_sensor_is_open(simulated_sensor):
     with pytest.raises(AdisGonioError, match="by seed"):
         simulated_sensor.read("SMPL_PRD")
-    assert simulated_sensor.faulty.seen["busy"] == 1
-    simulated_sensor.faulty.faults = BusFaults()
+    assert simulated_sensor.faulty.faults.seen["busy"] == 1
+    simulated_sensor.faulty.faults = Faults()
     assert simulated_sensor.read("SMPL_PRD") == 1
 
 

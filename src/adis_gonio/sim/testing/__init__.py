@@ -15,7 +15,7 @@ _HOMES = {
     "bus_contract": "BusContract Rig WatchedChip WireFrame",
     "doubles": "SimulatedBoard SimulatedSensor open_board open_simulated",
     "expected_frames": "ExpectedFrames",
-    "faults": "BusFaults Faults FaultyBus",
+    "faults": "Faults FaultyBus",
 }
 
 
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     )
     from adis_gonio.sim.testing.expected_frames import ExpectedFrames as ExpectedFrames
     from adis_gonio.sim.testing.faults import (
-        BusFaults as BusFaults,
         Faults as Faults,
         FaultyBus as FaultyBus,
     )

@@ -27,7 +27,7 @@ from adis_gonio.device.bus.opening import BusUrl
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.sim.bus import SimBus, SimStage, open_from_url as _open_bus
 from adis_gonio.sim.chip import SimulatedChip
-from adis_gonio.sim.testing.faults import NO_FAULTS, BusFaults, Faults, FaultyBus, FaultyStream
+from adis_gonio.sim.testing.faults import Faults, FaultyBus, FaultyStream
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
 from adis_gonio.sim.testing.pins import ChipPins, WorkClock
 from adis_gonio.sim.world import World
@@ -44,7 +44,7 @@ class SimulatedSensor(Adis16354):
 
     @property
     def faulty(self) -> FaultyBus:
-        """Bus of the driver, which corrupts frames by its `faults`; `faulty.seen` counts the faults."""
+        """Bus of the driver, which corrupts frames by its `faults`; `faults.seen` counts the faults."""
         return cast(FaultyBus, self.bus)
 
     @property
@@ -94,7 +94,7 @@ def simulated_bus(url: str = DEFAULT_URL) -> SimBus:
 
 
 def open_simulated(
-    url: str = DEFAULT_URL, *, check: bool = True, bus_faults: BusFaults = NO_FAULTS
+    url: str = DEFAULT_URL, *, check: bool = True, faults: Faults | None = None
 ) -> SimulatedSensor:
     """Open a driver with a simulated chip; use it as a context manager.
 
@@ -104,8 +104,9 @@ def open_simulated(
         URL of the simulator, which also gives the variant; see `simulated_bus`.
     check : bool
         True checks on opening that the chip answers and reads 1 g at rest.
-    bus_faults : BusFaults
-        Faults of the frames; they begin after opening, so that opening never fails.
+    faults : Faults or None
+        Faults of the frames, see `FaultyBus`; they begin after opening, so that opening never fails. Each
+        sensor draws from its own copy, because one pytest mark may give them to many tests.
 
     Raises
     ------
@@ -113,10 +114,13 @@ def open_simulated(
         The URL belongs to another bus, or has an unknown option.
     """
     bus = simulated_bus(url)
-    faulty = FaultyBus(bus)
-    sensor = SimulatedSensor(faulty, bus.world.variant, check=check)
-    faulty.faults = bus_faults
+    sensor = SimulatedSensor(FaultyBus(bus), bus.world.variant, check=check)
+    sensor.faulty.faults = _own_copy(faults)
     return sensor
+
+
+def _own_copy(faults: Faults | None) -> Faults:
+    return Faults() if faults is None else replace(faults, seen=Counter())
 
 
 _BUFFER = 65536
@@ -279,7 +283,7 @@ class BoardStage(SimStage):
 def open_board(
     url: str = DEFAULT_URL,
     *,
-    line_faults: Faults | None = None,
+    faults: Faults | None = None,
     boot_s: float = 0.0,
 ) -> SimulatedBoard:
     """Open a simulated board; a URL of the simulator describes the chip and its world.
@@ -289,9 +293,8 @@ def open_board(
     url : str
         URL of the simulator, such as `sim:?seed=3&delta_k=0.01&move_speed_dps=360`; the same URL gives
         `open_simulated` a sensor with the same hidden parameters.
-    line_faults : Faults
-        Faults of the serial line (None: no faults), see `SimulatedBoard`; each board draws from its own
-        copy, because one pytest mark may give them to many tests.
+    faults : Faults or None
+        Faults of the serial line, see `SimulatedBoard`; each board draws from its own copy.
     boot_s : float
         Silence in s at the beginning, like that of a board that boots.
 
@@ -302,9 +305,7 @@ def open_board(
     """
     bus = simulated_bus(url)
     firmware = SimulatedFirmware(ChipPins(bus.chip, WorkClock()), boot_s=boot_s)
-    if line_faults is not None:
-        line_faults = replace(line_faults, seen=Counter())
-    return SimulatedBoard(firmware, line_faults, world=bus.world)
+    return SimulatedBoard(firmware, _own_copy(faults), world=bus.world)
 
 
 class _Pty:

@@ -1,22 +1,22 @@
 """Simulated faults between host and device, drawn from a seed: of bytes, USB packets and SPI frames.
 
 `Faults` has the probability of each kind of fault, and draws the faults. `FaultyStream` applies them to the
-bytes of a serial line, and a model of a USB device asks `Faults` for each packet. Kinds of faults of a byte
-or a packet:
+bytes of a serial line, `FaultyBus` to the frames of another bus, and a model of a USB device asks `Faults`
+for each packet. Kinds of faults of a byte, a packet or a frame:
 
 * `drop`: it is lost; `duplicate`: it arrives twice; `flip`: one of its bits is changed;
 * `delay`: it arrives late, by `delay_s` on average; `chunk`: a pause of 2 ms comes before it (bytes only).
 
-Kinds of faults of a device, drawn for each packet:
+Kinds of faults of a device, drawn for each packet or batch of frames:
 
-* `hang`: the device does not react for `hang_s` (also the device on a serial line);
+* `hang`: the device does not react for `hang_s` (also the device on a serial line; a bus: for this batch);
 * `busy`: it refuses the request; `progress`: it reports that it is still at work;
 * `stuck`: it does not finish this transfer or any later one, until a reset or a cancel;
 * `short`: it returns one byte too few; `unplug`: it is disconnected.
 
-`FaultyBus` is a bus around another bus that corrupts its frames, for drivers and host code that have to
-notice. Each kind of fault has its own generator, so the faults of a frame do not depend on its batch or on
-the other kinds.
+A lost frame does not reach the chip, as with a loose chip select: its reply is `IDLE`, and the next frame
+gets the reply that this frame would have got. A stream omits the scan and counts it as lost. The reply of
+a frame that arrives twice also takes the place of the next reply.
 """
 
 from __future__ import annotations
@@ -28,7 +28,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from adis_gonio.base.errors import BusTimeoutError, ProtocolError, UsageError
 from adis_gonio.device.bus.contract import FRAME_BITS, FrameBlock, FrameStream, SpiBus, Words
@@ -37,13 +36,18 @@ from adis_gonio.device.bus.forwarding import ForwardingBus
 
 @dataclass
 class Faults:
-    """Probabilities of the faults of a serial line or device, and the random draws from them.
+    """Probabilities of the faults of a serial line, device or bus, and the random draws from them.
 
     Each kind of fault is explained in the text of the module. The field with its name is the probability of
-    this fault for one byte or packet. `seed` starts the random draws, `delay_s` is the mean delay and
-    `hang_s` the length of a hang, both in s.
+    this fault for one byte, packet or frame. `seed` starts the random draws, `delay_s` is the mean delay
+    and `hang_s` the length of a hang, both in s.
 
     `seen` counts the faults that happened, by kind.
+
+    Raises
+    ------
+    UsageError
+        A probability is not within 0 to 1.
     """
 
     seed: int = 0
@@ -63,6 +67,10 @@ class Faults:
     seen: Counter[str] = field(default_factory=Counter)
 
     def __post_init__(self) -> None:
+        for entry in fields(self):
+            rate = getattr(self, entry.name)
+            if isinstance(entry.default, float) and not entry.name.endswith("_s") and not 0 <= rate <= 1:
+                raise UsageError(f"{entry.name} is {rate}: take a probability from 0 to 1")
         self.dice = random.Random(self.seed)
         self.hung_until_s = -math.inf
 
@@ -142,55 +150,8 @@ class FaultyStream:
         return bytes(taken)
 
 
-@dataclass(frozen=True)
-class BusFaults:
-    """Probabilities (0 to 1) of faults of SPI frames, and the properties of these faults.
-
-    Attributes
-    ----------
-    seed : int
-        Seed of all random draws.
-    bit_errors : float
-        Probability that a bit of a reply is flipped, as by noise on the data line; SPI cannot detect it.
-    lost_frames : float
-        Probability that a frame does not reach the chip, as with a loose chip select: its reply is
-        `idle_word`, and the next frame gets the reply that this frame would have got. A stream omits the
-        scan and counts it as lost.
-    stuck_words : float
-        Probability that a reply is repeated in place of the next `stuck_frames` replies.
-    stuck_frames : int
-        Number of replies that are replaced, at least 1.
-    busy : float
-        Probability that the bridge refuses a batch before it sends a frame: `ProtocolError`.
-    silent : float
-        Probability that a batch is sent but not answered: `BusTimeoutError`.
-    idle_word : int
-        Word that an undriven data line gives.
-    """
-
-    seed: int = 0
-    bit_errors: float = 0.0
-    lost_frames: float = 0.0
-    stuck_words: float = 0.0
-    stuck_frames: int = 1
-    busy: float = 0.0
-    silent: float = 0.0
-    idle_word: int = 0xFFFF
-
-    def __post_init__(self) -> None:
-        for kind in _KINDS:
-            rate = getattr(self, kind)
-            if not 0 <= rate <= 1:
-                raise UsageError(f"{kind} is {rate}: take a probability from 0 to 1")
-        if self.stuck_frames < 1:
-            raise UsageError(f"stuck_frames is {self.stuck_frames}: take 1 or more")
-        if not 0 <= self.idle_word <= 0xFFFF:
-            raise UsageError(f"idle_word is {self.idle_word}: take 0 to 65535")
-
-
-_KINDS = tuple(entry.name for entry in fields(BusFaults) if isinstance(entry.default, float))
-"""Kinds of faults: the fields of `BusFaults` that are probabilities."""
-NO_FAULTS = BusFaults()
+IDLE = 0xFFFF
+"""Word that an undriven data line gives."""
 
 
 class FaultyBus(ForwardingBus):
@@ -200,34 +161,14 @@ class FaultyBus(ForwardingBus):
     ----------
     inner : SpiBus
         Other bus; `close` also closes it.
-    faults : BusFaults
-        Probabilities of the faults.
-
-    Attributes
-    ----------
-    seen : Counter
-        Number of faults that happened, by name of the field of `BusFaults`.
+    faults : Faults or None
+        Probabilities of the faults `drop`, `duplicate`, `flip`, `busy` and `hang`; None for no faults.
     """
 
-    def __init__(self, inner: SpiBus, faults: BusFaults = NO_FAULTS) -> None:
+    def __init__(self, inner: SpiBus, faults: Faults | None = None) -> None:
         super().__init__(inner)
-        self.seen: Counter[str] = Counter()
-        self.faults = faults
-
-    @property
-    def faults(self) -> BusFaults:
-        """Probabilities of the faults; assigning new ones restarts the random draws from their seed."""
-        return self._faults
-
-    @faults.setter
-    def faults(self, faults: BusFaults) -> None:
-        with self._lock:
-            self._faults = faults
-            seeds = np.random.SeedSequence(faults.seed).spawn(len(_KINDS))
-            self._dice = {k: np.random.default_rng(s) for k, s in zip(_KINDS, seeds, strict=True)}
-            self._stuck_left, self._stuck_word = 0, 0
-
-    # -- faulty calls --------------------------------------------------------------------------------
+        self.faults = faults or Faults()
+        self._last = IDLE
 
     def stream(self, frames: Sequence[int], *, block_scans: int = 256) -> FrameStream:
         """Start a stream of the read frames `frames` on the inner bus, with faults in its scans.
@@ -237,52 +178,39 @@ class FaultyBus(ForwardingBus):
         return _FaultyFrames(self, super().stream(frames, block_scans=block_scans))
 
     def _exchange(self, frames: Words) -> Words:
-        if self._happens("busy"):
+        if self.faults.happens("busy"):
             raise ProtocolError(f"{self.url}: the bridge is busy and has sent nothing (a fault by seed)")
-        replies = self._sent(frames)
-        if self._happens("silent"):
-            raise BusTimeoutError(f"{self.url}: the bridge does not answer (a fault by seed)")
-        return self._spoilt(replies)
-
-    def _sent(self, frames: Words) -> Words:
-        lost = self._struck("lost_frames", len(frames))
-        replies = np.full(len(frames), self._faults.idle_word, np.uint16)
-        edges = np.flatnonzero(np.diff(lost)) + 1
-        for part in np.split(np.arange(len(frames)), edges):
-            if lost[part[0]]:
+        drawn = self._drawn(len(frames))
+        replies = np.full(len(frames), IDLE, np.uint16)
+        for part in np.split(np.arange(len(frames)), np.flatnonzero(np.diff(drawn[0])) + 1):
+            if drawn[0, part[0]]:
                 self.inner.sleep_s(len(part) * self.timing.frame_s)  # the bridge still clocks them
             else:
                 replies[part] = self.inner.exchange_array(frames[part])
-        return replies
+        if self.faults.happens("hang"):
+            raise BusTimeoutError(f"{self.url}: the bridge does not answer (a fault by seed)")
+        return self._spoilt(replies, drawn)
 
-    def _spoilt(self, words: Words) -> Words:
-        """Return a copy of replies (n,), some replaced by an earlier reply and some with flipped bits."""
-        words = words.copy()
-        sticks = self._struck("stuck_words", len(words))
-        if self._stuck_left or sticks.any():
-            for k, word in enumerate(words):
-                if self._stuck_left:
-                    self._stuck_left -= 1
-                    words[k] = self._stuck_word
-                elif sticks[k]:
-                    self._stuck_left, self._stuck_word = self._faults.stuck_frames, int(word)
-        turned = self._struck("bit_errors", FRAME_BITS * len(words)).reshape(-1, FRAME_BITS)
-        return words ^ (turned @ (1 << np.arange(FRAME_BITS))).astype(np.uint16)
+    def _drawn(self, count: int) -> Words:
+        """Draw the faults of some frames, one frame after another, whatever the size of a batch.
 
-    def _struck(self, kind: str, count: int) -> NDArray[np.bool_]:
-        """Draw the items, out of `count`, that a fault of this kind affects; return a mask (count,).
-
-        The affected items are counted in `seen`.
+        Returns
+        -------
+        (3, count) uint16
+            1 if the frame is lost, else 0; 1 if its reply is the reply before; bits of its reply to flip.
         """
-        rate = getattr(self._faults, kind)
-        if not rate:
-            return np.zeros(count, bool)
-        struck: NDArray[np.bool_] = self._dice[kind].random(count) < rate
-        self.seen[kind] += int(struck.sum())
-        return struck
+        faults = self.faults
+        rows = []
+        for _ in range(count):
+            lost, repeated = faults.happens("drop"), faults.happens("duplicate")
+            rows.append((lost, repeated, faults.happens("flip") << faults.dice.randrange(FRAME_BITS)))
+        return np.array(rows, np.uint16).reshape(-1, 3).T
 
-    def _happens(self, kind: str) -> bool:
-        return bool(self._struck(kind, 1)[0])
+    def _spoilt(self, words: Words, drawn: Words) -> Words:
+        """Return a copy of the replies (n,) with those faults that `_drawn` (3, n) has."""
+        before = np.append(np.uint16(self._last), words[:-1])
+        self._last = int(words[-1])
+        return np.asarray(np.where(drawn[1], before, words) ^ drawn[2])
 
 
 class _FaultyFrames(FrameStream):
@@ -295,8 +223,9 @@ class _FaultyFrames(FrameStream):
     def __next__(self) -> FrameBlock:
         block = next(self._inner)
         with self._bus._lock:
-            words = self._bus._spoilt(block.words.ravel()).reshape(block.words.shape)
-            lost = self._bus._struck("lost_frames", words.size).reshape(words.shape).any(axis=1)
+            drawn = self._bus._drawn(block.words.size)
+            words = self._bus._spoilt(block.words.ravel(), drawn).reshape(block.words.shape)
+        lost = drawn[0].reshape(words.shape).any(axis=1)
         return FrameBlock(words[~lost], block.time_s[~lost], block.lost + int(lost.sum()))
 
     def close(self) -> None:

@@ -21,8 +21,7 @@ MARK = "adis_gonio"
 OPTIONS = {
     "url": "of the simulator, such as sim:?seed=3&delta_k=0.01",
     "check": "prove on opening that |a| is 1 g",
-    "bus_faults": "BusFaults of the sensor's frames",
-    "line_faults": "Faults of the board's serial line",
+    "faults": "Faults of the sensor's frames, or of the board's serial line",
     "boot_s": "silence of the board at first",
 }
 """Options of the mark `adis_gonio`, each with its meaning."""
@@ -43,7 +42,7 @@ def simulated_sensor(request: pytest.FixtureRequest) -> Iterator[SimulatedSensor
     """
     from adis_gonio.sim.testing.doubles import open_simulated
 
-    with _made(open_simulated, request, ("url", "check", "bus_faults")) as sensor:
+    with _made(open_simulated, request, ("url", "check", "faults")) as sensor:
         yield sensor
 
 
@@ -52,7 +51,7 @@ def simulated_board(request: pytest.FixtureRequest) -> Iterator[SimulatedBoard]:
     """Fixture: a simulated board with the project's firmware, in real time, at its serial port `path`."""
     from adis_gonio.sim.testing.doubles import open_board
 
-    with _made(open_board, request, ("url", "line_faults", "boot_s")) as board:
+    with _made(open_board, request, ("url", "faults", "boot_s")) as board:
         yield board
 
 
