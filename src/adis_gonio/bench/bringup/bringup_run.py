@@ -5,14 +5,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
 from adis_gonio.base import __version__
 from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.bench.bringup.bringup_step import (
-    QUESTIONS,
     Answer,
     Bringup,
     BringupBench,
@@ -29,7 +28,7 @@ from adis_gonio.bench.bringup.update_steps import DataReady, Rate, SamplePeriods
 from adis_gonio.bench.bringup.write_steps import FlashCount, Offset, SelfTests, StatusBits
 from adis_gonio.device.bus import SpiBus
 from adis_gonio.device.sensor.driver import Adis16354, Undo
-from adis_gonio.device.sensor.registers import NORMAL, Variant
+from adis_gonio.device.sensor.registers import NORMAL, Variant, variant as find_variant
 
 STEPS: tuple[BringupStep, ...] = (
     Link(),
@@ -99,49 +98,50 @@ def bring_up(
     Bringup
         Results of all steps. They include faults of sensor and bridge, which are not raised.
     """
-    return _Run(BringupBus(bus, NORMAL.clock_hz), variant, permission, tell).all(steps)
+    limited = BringupBus(bus, NORMAL.clock_hz)
+    begun = limited.witness("utc", lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+    found = Bringup(bus.url, find_variant(variant).name, begun, f"adis-gonio {__version__}")
+    _Run(limited, found, permission, tell).all(steps)
+    return found
 
 
 @dataclass
 class _Run:
-    """A bring-up in progress: runs the steps and collects their results."""
+    """A bring-up in progress: runs the steps and collects their results in `found`."""
 
     bus: BringupBus
-    variant: str | Variant
+    found: Bringup
     permission: Permission
     tell: Callable[[StepResult], object]
-    rows: list[StepResult] = field(default_factory=list)
-    answers: dict[str, Answer] = field(default_factory=dict)
     bench: BringupBench | None = None
-    undo: Undo | None = None
-    stopped: bool = False
 
-    def all(self, steps: tuple[BringupStep, ...]) -> Bringup:
-        begun = self.bus.witness("utc", lambda: datetime.now(UTC).isoformat(timespec="seconds"))
-        failure = ""
+    def all(self, steps: tuple[BringupStep, ...]) -> None:
+        found, failure = self.found, ""
         with self._until_stopped():
             try:
-                sensor = Adis16354(self.bus, self.variant, check=False)
+                sensor = Adis16354(self.bus, found.variant, check=False)
                 self.bench = BringupBench(self.bus, sensor)
             except AdisGonioError as error:
                 failure = str(error)
         for step in steps:
             result = new_result(step).not_measured("stopped by the operator")
             with self._until_stopped():
-                if self.bench is not None and not self.stopped:
+                if self.bench is not None and not found.stopped:
                     result = self._one(self.bench, step)
                 elif failure:
                     result = new_result(step).not_measured("the link does not work")
-                    result = result if self.rows else new_result(step).fault(failure)
+                    result = result if found.rows else new_result(step).fault(failure)
             with self._until_stopped():
-                self.rows.append(result)
+                found.rows.append(result)
                 default = Answer(Outcome.NOT_MEASURED, result.text)
-                self.answers |= {name: result.answers.get(name, default) for name in step.settles}
+                found.answers |= {name: result.answers.get(name, default) for name in step.settles}
                 self.tell(result)
-        if self.undo is not None:
+        if found.undo is not None:
             with self._until_stopped():
-                self.undo.put_back()  # again, since an interruption may have come during the first time
-        return self._whole(begun)
+                found.undo.put_back()  # again, since an interruption may have come during the first time
+        found.bridge = _bridge(self.bus)
+        if self.bench is not None:
+            found.variant, found.registers = self.bench.sensor.variant.name, self.bench.constants
 
     @contextmanager
     def _until_stopped(self) -> Iterator[None]:
@@ -149,7 +149,7 @@ class _Run:
         try:
             yield
         except KeyboardInterrupt:
-            self.stopped = True
+            self.found.stopped = True
 
     def _one(self, bench: BringupBench, step: BringupStep) -> StepResult:
         refusal = bench.blocked or self._refusal(step)
@@ -157,21 +157,21 @@ class _Run:
             return new_result(step).not_measured(refusal)
         if step.effect in (SideEffect.WRITES, SideEffect.FLASH) and not self.permission.ask(step.question):
             return new_result(step).not_measured("the answer to its question was no")
-        changes = step.effect is not SideEffect.READS
+        changes, found = step.effect is not SideEffect.READS, self.found
         try:
-            if changes and self.undo is None:
-                self.undo = Undo(bench.sensor, writable())
+            if changes and found.undo is None:
+                found.undo = Undo(bench.sensor, writable())
             bench.bus.calls.clear()
             return step.run(bench, new_result(step))
         except AdisGonioError as error:
             return new_result(step).fault(f"could not be done: {error}")
         finally:
-            if changes and self.undo is not None:
+            if changes and found.undo is not None:
                 try:
-                    self.undo.put_back()
+                    found.undo.put_back()
                 finally:
-                    if self.undo.unrestored:
-                        bench.blocked = f"{', '.join(self.undo.unrestored)} could not be put back"
+                    if found.undo.unrestored:
+                        bench.blocked = f"{', '.join(found.undo.unrestored)} could not be put back"
 
     def _refusal(self, step: BringupStep) -> str:
         if step.effect is SideEffect.WRITES and not self.permission.writes:
@@ -179,34 +179,6 @@ class _Run:
         if step.effect is SideEffect.FLASH and not (self.permission.writes and self.permission.flash):
             return "it writes the flash once; --allow-writes --flash permits that"
         return ""
-
-    def _whole(self, begun: str) -> Bringup:
-        sensor = None if self.bench is None else self.bench.sensor
-        answers = {}
-        for question in QUESTIONS:
-            answers[question.name] = self.answers.get(question.name) or Answer(
-                Outcome.NOT_MEASURED, question.otherwise
-            )
-        unrestored = () if self.undo is None else self.undo.unrestored
-        if unrestored:
-            undone = f"NOT put back: {', '.join(unrestored)}; switch the supply off and on"
-        elif self.undo is None:
-            undone = "nothing was written"
-        else:
-            undone = f"all of {len(self.undo.rows)} registers were read back with their original numbers"
-        return Bringup(
-            url=self.bus.url,
-            variant=sensor.variant.name if sensor is not None else str(self.variant),
-            begun_utc=begun,
-            software=f"adis-gonio {__version__}",
-            bridge=_bridge(self.bus),
-            registers={} if self.bench is None else dict(self.bench.constants),
-            rows=tuple(self.rows),
-            answers=answers,
-            undone=undone,
-            undone_ok=not unrestored,
-            stopped=self.stopped,
-        )
 
 
 def new_result(step: BringupStep) -> StepResult:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import pairwise
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from adis_gonio.base.jsonable import JsonRecord, key
 from adis_gonio.device.bus import SpiBus, SpiTiming, Words
 from adis_gonio.device.bus.recording import Call, ObservedBus
-from adis_gonio.device.sensor.driver import Adis16354
+from adis_gonio.device.sensor.driver import Adis16354, Undo
 from adis_gonio.device.sensor.registers import BY_NAME, EA, IDLE, VARIANTS, Register, register, registers
 from adis_gonio.device.sensor.scanning import PolledScans, ScanLayout, ScanStream
 from adis_gonio.device.sensor.settings import ScanBlock, join
@@ -190,10 +190,6 @@ class Answer(JsonRecord):
     figures: tuple[Measured, ...] = field(default=(), metadata=key("measured"))
 
 
-def _plain(number: Any) -> Any:
-    return number.item() if isinstance(number, np.generic) else number
-
-
 class StepResult(JsonRecord, frozen=False):
     """Result of a bring-up step, which the step fills.
 
@@ -234,10 +230,9 @@ class StepResult(JsonRecord, frozen=False):
         """Add a measured figure with this name and value to the result, and return it.
 
         `unit` is "1" for a number without unit. `u` is the standard uncertainty (None for a count or a
-        setting), `expected` the value by the table (None if there is none). Numpy numbers are converted to
-        Python numbers.
+        setting), `expected` the value by the table (None if there is none).
         """
-        figure = Measured(name, _plain(value), unit, _plain(u), _plain(expected))
+        figure = Measured(name, value, unit, u, expected)
         self.figures.append(figure)
         return figure
 
@@ -285,9 +280,13 @@ class StepResult(JsonRecord, frozen=False):
         return self
 
 
-@dataclass(frozen=True)
+def _unanswered() -> dict[str, Answer]:
+    return {question.name: Answer(Outcome.NOT_MEASURED, question.otherwise) for question in QUESTIONS}
+
+
+@dataclass
 class Bringup:
-    """Result of a bring-up: the results of all steps, and the answers to open questions.
+    """Result of a bring-up, which the run fills: results of the steps, and answers to open questions.
 
     Attributes
     ----------
@@ -295,18 +294,16 @@ class Bringup:
         URL of the bus, and variant of the sensor.
     begun_utc, software : str
         Time of the beginning (ISO 8601, UTC), and the program.
-    bridge : mapping of str to object
+    bridge : dict of str to object
         Facts about the bridge.
-    registers : mapping of str to int
+    registers : dict of str to int
         Words of the registers before the bring-up, by name; empty if they were not read.
-    rows : tuple of StepResult
+    rows : list of StepResult
         Results of the steps, in order.
-    answers : mapping of str to Answer
+    answers : dict of str to Answer
         One answer for each open question about the sensor (`QUESTIONS`), by name.
-    undone : str
-        Sentence on the restored registers.
-    undone_ok : bool
-        True if every register was read back with its original number.
+    undo : Undo or None
+        Restores the registers; None if no step changed the sensor.
     stopped : bool
         True if the operator ended it early.
     """
@@ -315,13 +312,26 @@ class Bringup:
     variant: str
     begun_utc: str
     software: str
-    bridge: Mapping[str, Any]
-    registers: Mapping[str, int]
-    rows: tuple[StepResult, ...]
-    answers: Mapping[str, Answer]
-    undone: str
-    undone_ok: bool
+    bridge: dict[str, Any] = field(default_factory=dict)
+    registers: dict[str, int] = field(default_factory=dict)
+    rows: list[StepResult] = field(default_factory=list)
+    answers: dict[str, Answer] = field(default_factory=_unanswered)
+    undo: Undo | None = None
     stopped: bool = False
+
+    @property
+    def undone_ok(self) -> bool:
+        """True if every register was read back with its original number."""
+        return self.undo is None or not self.undo.unrestored
+
+    @property
+    def undone(self) -> str:
+        """Sentence on the restored registers."""
+        if self.undo is None:
+            return "nothing was written"
+        if self.undo.unrestored:
+            return f"NOT put back: {', '.join(self.undo.unrestored)}; switch the supply off and on"
+        return f"all of {len(self.undo.rows)} registers were read back with their original numbers"
 
     def row(self, name: str) -> StepResult:
         """Return the result of a step by the step's name."""

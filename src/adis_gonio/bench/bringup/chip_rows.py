@@ -304,9 +304,10 @@ def _offset_steps(
                 row = BY_NAME[name]
                 step = (row.number(now) - row.number(then)) / (one.dps / 75 if columns.start else 1)
                 moved = two.mean[columns][k] - one.mean[columns][k]
-                u = _mean_u(part, min(one, two, key=lambda rest: rest.count), columns)
-                drift = float(max(abs(rest.slope[columns][k]) for rest in (one, two)))
-                u = math.hypot(u, (two.middle_s - one.middle_s) * drift)
+                short, long = sorted((one, two), key=lambda rest: rest.count)
+                # A short rest shows no slope but that of its noise.
+                drift = (two.middle_s - one.middle_s) * float(long.slope[columns][k])
+                u = math.hypot(_mean_u(part, short, columns), drift)
                 if abs(step) > 10 * u and math.isfinite(moved):
                     predicted = {key: (value - 0.01, value + 0.01) for key, value in rivals.items()}
                     yield RowFigure(moved / step, u / abs(step), predicted)
