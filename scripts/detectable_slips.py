@@ -10,8 +10,9 @@ import math
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.slips.position_model import (
-    Angles,
+    Increments,
     KnownFaults,
     Name,
     Pattern,
@@ -28,14 +29,14 @@ _DRAWN = 200
 """Number of simulated sessions for the smallest detectable error."""
 
 
-def detectable_deg(angles: Angles, name: Name) -> dict[int, float]:
+def detectable_deg(readings: Readings, turns: Increments, name: Name) -> dict[int, float]:
     """Return the smallest error in degrees at each position that 99 % of simulated sessions show.
 
     A session shows it if the probability of a fault called `name`, given the session, exceeds `CERTAIN`. An
     error of each size is put into sessions simulated with the scatter of this one. Only names with one free
     size count, and only one fault at a time. A value is inf if no size is shown.
     """
-    searched = search_faults(angles)
+    searched = search_faults(readings, turns)
     if searched is None:
         return {}
     rows, grid, accepted, _ = searched
@@ -60,7 +61,7 @@ def detectable_deg(angles: Angles, name: Name) -> dict[int, float]:
         # The smallest size from which on every larger one is shown often enough.
         enough = (shown.mean(axis=1) >= POWER)[::-1].cumprod()[::-1].astype(np.bool_)
         least = float(SIZES_DEG[enough.argmax()]) if enough.any() else math.inf
-        found[angles.position[pattern.dwells[0]]] = least
+        found[int(readings.position[pattern.dwells[0]])] = least
     return found
 
 

@@ -30,7 +30,8 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.device.sensor.registers import GYRO_LSB_DPS
-from adis_gonio.fitting.slips import Angles, PositionFinding
+from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.slips import Increments, PositionFinding
 from adis_gonio.fitting.slips.position_model import Name, possible_entries
 from adis_gonio.fitting.slips.session_positions import angles_of, positions_of, search_faults
 from adis_gonio.model.records import Dwell, Session
@@ -191,7 +192,7 @@ def judged(session: Session, truth: Truth | None) -> Row:
         off = wrap_degrees(first.error_deg[0] - sign * truth.error_deg)
     angles = angles_of(session)
     assert angles is not None
-    searched = search_faults(angles)
+    searched = search_faults(*angles)
     scatter_deg = 0.0 if searched is None else np.degrees(searched.scatter.position_rad)
     allowed = WITHIN * max(np.hypot(first.error_deg[1], scatter_deg), 1e-3) if first else 0.0
     angle = off is not None and abs(off) <= allowed
@@ -209,10 +210,10 @@ def _names(found: PositionFinding) -> set[tuple[str, tuple[int, ...]]]:
     return {(named.name, named.positions) for named in found.names}
 
 
-def _detectable(angles: Angles, truth: Truth) -> float | None:
+def _detectable(angles: tuple[Readings, Increments], truth: Truth) -> float | None:
     """Size from which this session shows a fault as the true one (of a swap one half of it)."""
     names: dict[str, Name] = {"slipped": "slipped", "mistyped": "misset", "swapped": "misset"}
-    least = detectable_deg(angles, names[truth.name])
+    least = detectable_deg(*angles, names[truth.name])
     return max(least.get(k, np.inf) for k in truth.positions)
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from adis_gonio.fitting.slips import Angles, Increments
+from adis_gonio.fitting.estimation.readings import Readings, from_means
+from adis_gonio.fitting.slips import Increments
 from adis_gonio.model.effects import Conditions
 
 
@@ -21,7 +22,7 @@ def angles(
     gyro_error_deg=None,
     stated: bool = True,
     approach=None,
-) -> Angles:
+) -> tuple[Readings, Increments]:
     """Part at `stood_deg` (n,) plus the fixture's error, read by X and Y, turned under a gyro with a gain.
 
     Parameters
@@ -44,9 +45,8 @@ def angles(
         turned[k - 1] += lost
     order = np.arange(n, dtype=float)
     theta = np.radians(declared)
-    return Angles(
-        tuple(range(n)),
-        theta,
+    turns = np.arange(1, n) if gyro else np.zeros(0, dtype=int)
+    readings = from_means(
         reading,
         np.tile(0.04 * np.eye(2), (n, 1, 1)),
         Conditions(
@@ -54,10 +54,8 @@ def angles(
             previous_angle_rad=np.r_[theta[:1], theta[:-1]],
             approach=None if approach is None else np.asarray(approach, float),
         ),
-        1000.0,
-        np.radians(fixture_deg) if stated else None,
-        60.0,
-        Increments(np.radians(turned), np.full(n - 1, np.radians(0.05)), np.zeros((n - 1, 2)))
-        if gyro
-        else None,
+        fixture_rad=np.radians(fixture_deg),
+        fixture_stated=stated,
     )  # fmt: skip
+    of_turns = np.radians(turned)[turns - 1], np.full(len(turns), np.radians(0.05))
+    return readings, Increments(turns, *of_turns, np.zeros((len(turns), 2)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from adis_gonio.fitting.slips.position_model import Angles, Increments
+from adis_gonio.fitting.slips.position_model import Increments
 from adis_gonio.fitting.slips.session_positions import Diagnosis, PositionFinding, diagnose
 
-__all__ = ["Angles", "Diagnosis", "Increments", "PositionFinding", "diagnose"]
+__all__ = ["Diagnosis", "Increments", "PositionFinding", "diagnose"]

@@ -52,6 +52,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats, wrap_radians
+from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import typical_terms
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import PlanarTurn
@@ -59,64 +60,26 @@ from adis_gonio.model.measurement import PlanarTurn
 
 @dataclass(frozen=True)
 class Increments:
-    """Rotation of the sensor from each dwell to the next, by the gyro along the axis of rotation.
+    """Rotations of the sensor from a dwell to the next, by the gyro along the axis of rotation.
 
     Attributes
     ----------
-    angle_rad : (n - 1,) float
-        Integral of the rate minus its zero rate, in the direction of declared angles; NaN without a
-        complete record of the turn.
-    u_rad : (n - 1,) float
+    turn : (g,) int
+        Index of the dwell in which each of g completely recorded turns ends.
+    angle_rad : (g,) float
+        Integral of the rate minus its zero rate, in the direction of declared angles.
+    u_rad : (g,) float
         Standard uncertainty of the angle by noise and by the drift of the zero rate between the dwells.
         Errors of the gain and the g-sensitivity are not included, because all turns share them.
-    force_gs : (n - 1, 2) float
+    force_gs : (g, 2) float
         Integral over the turn of the readings of X and Y minus their mean at rest, in g·s: a g-sensitivity
         of 1 rad/s/g changes the angle by this.
     """
 
+    turn: NDArray[np.intp]
     angle_rad: Floats
     u_rad: Floats
     force_gs: Floats
-
-
-@dataclass(frozen=True)
-class Angles:
-    """Input of the search for wrong positions: n dwells of a turn in the plane, in recorded order.
-
-    Attributes
-    ----------
-    position : (n,) int
-        Numbers of the dwells.
-    declared_rad : (n,) float
-        Declared angle of each dwell; NaN if there is none.
-    reading_mg : (n, 2) float
-        Mean readings of X and Y.
-    covariance_mg2 : (n, 2, 2) float
-        Covariance of each mean reading.
-    conditions : Conditions
-        Conditions of the dwells, for effects that may be in the readings.
-    gravity_mg : float
-        Local gravity.
-    fixture_rad : float or None
-        Standard uncertainty of a declared angle; None if not stated.
-    bias_mg : float
-        Prior standard deviation of a bias of this sensor.
-    turns : Increments or None
-        Rotation from each dwell to the next by the gyro; None without gyros.
-    """
-
-    position: tuple[int, ...]
-    declared_rad: Floats
-    reading_mg: Floats
-    covariance_mg2: Floats
-    conditions: Conditions
-    gravity_mg: float
-    fixture_rad: float | None
-    bias_mg: float
-    turns: Increments | None = None
-
-    def __len__(self) -> int:
-        return len(self.position)
 
 
 GAIN = 0.02
@@ -124,6 +87,10 @@ GAIN = 0.02
 B: ±2 %)."""
 SKEW_RAD = math.radians(0.75)
 """Prior standard deviation of the misalignment Δφ, in rad (ADIS16350 data sheet, B: ±0.25° and ±0.5°)."""
+BIAS_MG = 60.0
+"""Prior standard deviation of a bias, in mg: one real ADIS16350 had +57, −21 and +46 mg."""
+CALIBRATION_SD = np.array([GAIN, GAIN, SKEW_RAD, BIAS_MG, BIAS_MG])
+"""Prior standard deviations of K_x, K_y, Δφ in rad, b_x and b_y in mg about `NOMINAL`."""
 GYRO_GAIN = 0.01
 """Prior standard deviation of the relative error of a gyro's gain (D: no data sheet states it)."""
 GYRO_FORCE_RAD = math.radians(0.1)
@@ -247,68 +214,61 @@ class _Local:
     ideal_mg: Floats
 
 
-def _local(angles: Angles, calibration: Floats) -> _Local:
-    model = PlanarTurn(angles.gravity_mg)
+def _local(readings: Readings, calibration: Floats) -> _Local:
+    model = PlanarTurn(readings.gravity_mg)
     base = np.concatenate([[0.0], calibration[:3]])
-    psi = model.angle_rad(base, angles.reading_mg - calibration[3:])
-    zero = np.zeros(len(angles))
+    psi = model.angle_rad(base, readings.mean - calibration[3:])
+    zero = np.zeros(len(readings))
     ideal = model.ideal(base, psi, zero)
     tangent = model.tangent(base, psi, zero)[:, :, 0]
     square = (tangent**2).sum(axis=1, keepdims=True)
     # The normal of the circle at each reading is its tangent turned by 90°.
-    across = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1) / np.sqrt(square) / angles.gravity_mg
+    across = np.stack([tangent[:, 1], -tangent[:, 0]], axis=1) / np.sqrt(square) / readings.gravity_mg
     columns = np.concatenate(
-        [model.columns(base, psi, zero)[:, :, 1:], np.tile(np.eye(2), (len(angles), 1, 1))], axis=2
+        [model.columns(base, psi, zero)[:, :, 1:], np.tile(np.eye(2), (len(readings), 1, 1))], axis=2
     )
-    residual = angles.reading_mg - ideal - calibration[3:]
+    residual = readings.mean - ideal - calibration[3:]
     return _Local(psi, tangent / square, across, residual, columns, ideal)
 
 
-def _base_sd(angles: Angles) -> Floats:
-    return np.array([GAIN, GAIN, SKEW_RAD, angles.bias_mg, angles.bias_mg])
-
-
-def calibrate_by_length(angles: Angles) -> Floats:
+def calibrate_by_length(readings: Readings) -> Floats:
     """Return a first estimate (5,) of the calibration, which uses no declared angle.
 
     Each calibrated reading must have the length of gravity. The values are K_x, K_y, Δφ in rad, b_x and b_y
     in mg.
     """
     calibration = NOMINAL
-    sd = _base_sd(angles)
-    for _ in range(ROUNDS if len(angles) > 1 else 1):
-        near = _local(angles, calibration)
+    for _ in range(ROUNDS if len(readings) > 1 else 1):
+        near = _local(readings, calibration)
         design = np.einsum("ni,nij->nj", near.across, near.base)
         residual = (near.across * near.left_mg).sum(axis=1)
-        noise = np.einsum("ni,nij,nj->n", near.across, angles.covariance_mg2, near.across)
+        noise = np.einsum("ni,nij,nj->n", near.across, readings.covariance, near.across)
         spread = max(float(np.median(np.abs(residual))) / 0.6745, 1e-4)
         # A reading of an accelerated part is too long and has a small weight.
         weight = 1 / ((noise + 1e-4**2) * (1 + (residual / (TURNED_AWAY * spread)) ** 2))
         prior = NOMINAL - calibration
-        precision = np.diag(sd**-2) + (design * weight[:, None]).T @ design
-        step = np.linalg.solve(precision, prior / sd**2 + design.T @ (weight * residual))
+        precision = np.diag(CALIBRATION_SD**-2) + (design * weight[:, None]).T @ design
+        step = np.linalg.solve(precision, prior / CALIBRATION_SD**2 + design.T @ (weight * residual))
         calibration = calibration + step
     return calibration
 
 
-def rows_at(angles: Angles, calibration: Floats) -> Rows:
+def rows_at(readings: Readings, turns: Increments, calibration: Floats) -> Rows:
     """Return the linear model of readings and turns, in start angle, calibration, effects and gyro.
 
-    `calibration` (5,) is the point of linearisation: K_x, K_y, Δφ in rad, b_x and b_y in mg. `angles` are
-    the readings, the declared angles and the turns.
+    `calibration` (5,) is the point of linearisation: K_x, K_y, Δφ in rad, b_x and b_y in mg.
     """
-    near, n = _local(angles, calibration), len(angles)
+    near, n = _local(readings, calibration), len(readings)
     seen_by = near.psi_rad + (near.along * near.left_mg).sum(axis=1)
-    declared = np.isfinite(angles.declared_rad)
-    given = np.where(declared, angles.declared_rad, 0.0)
+    declared = np.isfinite(readings.angle_rad)
+    given = np.where(declared, readings.angle_rad, 0.0)
     zero = common_zero(wrap_radians(seen_by + given)[declared])
     theta = np.where(declared, given, zero - seen_by)
-    added, turned, sizes = _effect_columns(replace(angles, declared_rad=theta), near)
+    added, turned, sizes = _effect_columns(readings.conditions, theta, near)
     reading = np.concatenate([near.base, added], axis=2)
     by_angle = np.einsum("ni,nij->nj", near.along, reading)
     by_length = np.einsum("ni,nij->nj", near.across, reading)
-    turn, gyro, gyro_u, force = _turns(angles)
-    g, still = len(turn), np.zeros((n, turned.shape[1]))
+    turn, g, still = turns.turn, len(turns.turn), np.zeros((n, turned.shape[1]))
     # Difference of each turn: angle of its end minus angle of the dwell before.
     steps = np.zeros((g, n))
     steps[np.arange(g), turn], steps[np.arange(g), turn - 1] = 1.0, -1.0
@@ -317,28 +277,28 @@ def rows_at(angles: Angles, calibration: Floats) -> Rows:
         [
             [np.ones((n, 1)), by_angle, turned, np.zeros((n, 3))],
             [np.zeros((n, 1)), by_length, still, np.zeros((n, 3))],
-            [np.zeros((g, 1)), calibrating, -steps @ turned, gyro[:, None], force],
+            [np.zeros((g, 1)), calibrating, -steps @ turned, turns.angle_rad[:, None], turns.force_gs],
         ]
     )
-    sd = np.concatenate([[np.pi], _base_sd(angles), sizes, [GYRO_GAIN, GYRO_FORCE_RAD, GYRO_FORCE_RAD]])
+    sd = np.concatenate([[np.pi], CALIBRATION_SD, sizes, [GYRO_GAIN, GYRO_FORCE_RAD, GYRO_FORCE_RAD]])
     mean = np.zeros(len(sd))
     mean[1 : 1 + BASE] = NOMINAL - calibration
     effect = np.zeros(len(sd), dtype=np.bool_)
     effect[1 + BASE : -3] = True
     # Covariance of angle and length of each dwell, by the covariance of its reading.
     both = np.stack([near.along, near.across], axis=1)
-    pairs = np.einsum("nai,nij,nbj->nab", both, angles.covariance_mg2, both)
+    pairs = np.einsum("nai,nij,nbj->nab", both, readings.covariance, both)
     noise = np.zeros((2 * n + g, 2 * n + g))
     own = np.arange(n)
     for a in range(2):
         for b in range(2):
             noise[own + a * n, own + b * n] = pairs[:, a, b]
-    noise[2 * n + np.arange(g), 2 * n + np.arange(g)] = gyro_u**2
-    gone = angles.conditions.time_s - angles.conditions.time_s.min()
+    noise[2 * n + np.arange(g), 2 * n + np.arange(g)] = turns.u_rad**2
+    gone = readings.conditions.time_s - readings.conditions.time_s.min()
     return Rows(
         wrap_radians(seen_by + theta),
         (near.across * near.left_mg).sum(axis=1),
-        gyro,
+        turns.angle_rad,
         turn,
         design,
         sd,
@@ -346,41 +306,27 @@ def rows_at(angles: Angles, calibration: Floats) -> Rows:
         effect,
         np.concatenate([-np.eye(n), np.zeros((n, n)), steps]),
         noise,
-        np.concatenate([near.along * angles.gravity_mg, near.across * angles.gravity_mg, np.zeros((g, 2))]),
+        np.concatenate(
+            [near.along * readings.gravity_mg, near.across * readings.gravity_mg, np.zeros((g, 2))]
+        ),
         gone / max(float(gone.max()), 1e-300),
         theta,
         declared,
     )
 
 
-def _turns(angles: Angles) -> tuple[NDArray[np.intp], Floats, Floats, Floats]:
-    """Return the turns with a complete gyro record: end dwells (g,), angles (g,), their u (g,), and forces.
-
-    An end dwell is the index of the dwell in which a turn ends. Angles and u are in rad, the forces (g, 2)
-    are integrals over the turn in g·s (`Increments`).
-    """
-    if angles.turns is None:
-        return np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros(0), np.zeros((0, 2))
-    watched = np.flatnonzero(np.isfinite(angles.turns.angle_rad))
-    return (
-        watched + 1,
-        angles.turns.angle_rad[watched],
-        angles.turns.u_rad[watched],
-        angles.turns.force_gs[watched],
-    )
-
-
-def _effect_columns(angles: Angles, near: _Local) -> tuple[Floats, Floats, Floats]:
+def _effect_columns(recorded: Conditions, theta: Floats, near: _Local) -> tuple[Floats, Floats, Floats]:
     """Return the derivatives of the readings and angles by the amplitudes of the catalogue's effects.
 
     Effects of the base model, effects within a dwell and effects whose conditions are not recorded are left
     out. The results are columns (n, 2, q) in mg for q effects on the readings, columns (n, r) in rad for r
-    effects on the angle ψ, and the prior standard deviation (q + r,) of each amplitude.
+    effects on the angle ψ, and the prior standard deviation (q + r,) of each amplitude. `recorded` are the
+    conditions of the dwells, `theta` (n,) their declared angles in rad.
     """
     # The declared angles, which may be wrong, are replaced by the angles of gravity.
-    angle = common_zero(wrap_radians(near.psi_rad + angles.declared_rad)) - near.psi_rad
+    angle = common_zero(wrap_radians(near.psi_rad + theta)) - near.psi_rad
     before = np.concatenate([angle[:1], angle[:-1]])
-    conditions = replace(angles.conditions, angle_rad=angle, previous_angle_rad=before)
+    conditions = replace(recorded, angle_rad=angle, previous_angle_rad=before)
     added: list[Floats] = []
     turned: list[Floats] = []
     sizes: dict[bool, list[float]] = {False: [], True: []}
@@ -392,7 +338,7 @@ def _effect_columns(angles: Angles, near: _Local) -> tuple[Floats, Floats, Float
             if np.isfinite(columns[..., column]).all():
                 (turned if term.enters_angle else added).append(columns[..., column])
                 sizes[term.enters_angle].append(TYPICAL * term.effect.parameters[k].typical)
-    n = len(angles)
+    n = len(theta)
     return (
         np.stack(added, axis=2) if added else np.zeros((n, 2, 0)),
         np.stack(turned, axis=1) if turned else np.zeros((n, 0)),

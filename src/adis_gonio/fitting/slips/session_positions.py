@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,7 +27,6 @@ from adis_gonio.fitting.gyros.gyro_readings import GyroDwells, gyro_dwells_of
 from adis_gonio.fitting.slips.position_model import (
     ACCUSED,
     BASE,
-    Angles,
     Increments,
     KnownFaults,
     Name,
@@ -268,15 +269,15 @@ class Diagnosis:
         return tuple(lines.values())
 
 
-def diagnose(angles: Angles) -> Diagnosis:
+def diagnose(readings: Readings, turns: Increments) -> Diagnosis:
     """Compute the probability of every fault at every position, and report the probable faults.
 
     A fault is reported if its probability is at least `CERTAIN`. The kinds of faults are listed in
     `position_model`. There are no findings with fewer than `LEAST` declared angles (one less with a gyro)
     or more than `LARGEST` dwells.
     """
-    found = search_faults(angles)
-    findings = [] if found is None else _findings(angles, found)
+    found = search_faults(readings, turns)
+    findings = [] if found is None else _findings(readings.position.tolist(), found)
     return Diagnosis(tuple(sorted(findings, key=lambda one: one.position)))
 
 
@@ -293,20 +294,19 @@ class FaultSearch(NamedTuple):
     scatter: ScatterPoint
 
 
-def search_faults(angles: Angles) -> FaultSearch | None:
+def search_faults(readings: Readings, turns: Increments) -> FaultSearch | None:
     """Search for faults, and calibrate without them; None with too few or too many angles (`diagnose`)."""
-    declared = int(np.isfinite(angles.declared_rad).sum())
-    watched = angles.turns is not None and bool(np.isfinite(angles.turns.angle_rad).any())
-    if declared < LEAST - watched or len(angles) > LARGEST:
+    declared = int(np.isfinite(readings.angle_rad).sum())
+    if declared < LEAST - (len(turns.turn) > 0) or len(readings) > LARGEST:
         return None
-    grid = scatters(angles.fixture_rad)
-    calibration = calibrate_by_length(angles)
-    rows = rows_at(angles, calibration)
+    grid = scatters(readings.fixture_rad if readings.fixture_stated else None)
+    calibration = calibrate_by_length(readings)
+    rows = rows_at(readings, turns, calibration)
     accepted, last = _search(rows, grid)
     # Calibrate again without the accepted faults, and repeat the search if that changes any angle.
     step = _posterior(rows, accepted, last.scatter)[0][1 : 1 + BASE]
     if float(np.abs(rows.design[: len(rows), 1 : 1 + BASE] @ step).max()) > SETTLED_RAD:
-        rows = rows_at(angles, calibration + step)
+        rows = rows_at(readings, turns, calibration + step)
         accepted, last = _search(rows, grid)
     return FaultSearch(rows, grid, accepted, last.scatter)
 
@@ -353,7 +353,7 @@ def _posterior(rows: Rows, accepted: Sequence[Pattern], scatter: ScatterPoint) -
 # -- findings ------------------------------------------------------------------------------------------
 
 
-def _findings(angles: Angles, search: FaultSearch) -> list[PositionFinding]:
+def _findings(position: Sequence[int], search: FaultSearch) -> list[PositionFinding]:
     rows, grid, accepted, _ = search
     found: dict[tuple[int, Name], PositionFinding] = {}
     for pattern in accepted:
@@ -372,8 +372,8 @@ def _findings(angles: Angles, search: FaultSearch) -> list[PositionFinding]:
         if probability < CERTAIN or name not in ACCUSED:
             continue
         chosen = patterns[number]
-        names = _set_of_names(angles.position, patterns, weighed)
-        account = _Account(angles.position, rows, (*rest, chosen), chosen, weighed.scatter)
+        names = _set_of_names(position, patterns, weighed)
+        account = _Account(position, rows, (*rest, chosen), chosen, weighed.scatter)
         for k in chosen.dwells:
             one = account.finding(k, name, probability, names)
             found[one.position, one.finding] = one
@@ -548,13 +548,9 @@ def _degrees(angle_rad: float) -> float:
     return round(math.degrees(angle_rad), 9)
 
 
-BIAS_MG = 60.0
-"""Prior standard deviation of a bias, in mg: one real ADIS16350 had +57, −21 and +46 mg."""
 INSTABILITY_DPS = 0.015
 """Drift of a gyro's zero rate between dwells, in °/s, if neither the dwells nor a data sheet show one (the
 simulator's default, D)."""
-UNKNOWN_MG = 1.0
-"""Standard uncertainty, in mg, assumed for a reading that states none."""
 
 
 def positions_of(session: Session) -> Diagnosis:
@@ -573,7 +569,7 @@ def positions_of(session: Session) -> Diagnosis:
 
 def _diagnosed(session: Session) -> Diagnosis:
     angles = angles_of(session)
-    return Diagnosis() if angles is None else diagnose(angles)
+    return Diagnosis() if angles is None else diagnose(*angles)
 
 
 def failure_message(session: Session, error: Exception) -> str:
@@ -585,8 +581,8 @@ def failure_message(session: Session, error: Exception) -> str:
     return f"{session.source}: {text}" if session.source else text
 
 
-def angles_of(session: Session) -> Angles | None:
-    """Return declared angles, readings and turns for `diagnose`; None if no angle can be wrong.
+def angles_of(session: Session) -> tuple[Readings, Increments] | None:
+    """Return the readings with declared angles and the turns for `diagnose`; None if no angle can be wrong.
 
     None for sessions in space, without declared angles, or with too few or too many dwells.
     """
@@ -595,38 +591,27 @@ def angles_of(session: Session) -> Angles | None:
     readings = readings_of(session)
     if not readings.planar or not np.isfinite(readings.angle_rad).any():
         return None
-    return Angles(
-        tuple(readings.position.tolist()),
-        readings.angle_rad,
-        readings.mean,
-        readings.covariance * (1.0 if readings.noise_known else UNKNOWN_MG**2),
-        readings.conditions,
-        readings.gravity_mg,
-        readings.fixture_rad if readings.fixture_stated else None,
-        BIAS_MG,
-        _increments(session, readings),
-    )
+    return readings, _increments(session, readings)
 
 
-def _increments(session: Session, readings: Readings) -> Increments | None:
+def _increments(session: Session, readings: Readings) -> Increments:
+    found: dict[int, tuple[float, ...]] = {}
     turns = {(turn.before, turn.position): turn for turn in session.turns if turn.gyro is not None}
-    if session.accel_unit == "counts" or not turns:
-        return None
-    try:
-        rests = session.once(gyro_dwells_of)
-    except DataError:
-        return None
-    by_position = rests.by_position
-    pairs = list(zip(readings.position[:-1].tolist(), readings.position[1:].tolist(), strict=True))
-    # Angle, u and both forces of each turn; NaN without a record.
-    rows = np.full((len(pairs), 4), np.nan)
-    for k, pair in enumerate(pairs):
-        if pair in turns and by_position.keys() >= set(pair):
-            ends = [rests.dwells[by_position[position]] for position in pair]
-            path = turn_integration.path_between(session, turns[pair], *ends)
-            found = None if path is None else _turned(path, rests)
-            rows[k] = np.nan if found is None else found
-    return Increments(np.radians(rows[:, 0]), np.radians(rows[:, 1]), rows[:, 2:])
+    if session.accel_unit != "counts" and turns:
+        with suppress(DataError):
+            rests = session.once(gyro_dwells_of)
+            by_position = rests.by_position
+            for end, pair in enumerate(pairwise(readings.position.tolist()), 1):
+                if pair in turns and by_position.keys() >= set(pair):
+                    ends = [rests.dwells[by_position[position]] for position in pair]
+                    path = turn_integration.path_between(session, turns[pair], *ends)
+                    turned = None if path is None else _turned(path, rests)
+                    if turned is not None:
+                        found[end] = turned
+    # Angle, u and both forces of each turn.
+    rows = np.reshape(list(found.values()), (-1, 4))
+    angle, u = np.radians(rows[:, :2].T)
+    return Increments(np.array(list(found), dtype=np.intp), angle, u, rows[:, 2:])
 
 
 def _turned(path: turn_integration.Path, rests: GyroDwells) -> tuple[float, float, float, float] | None:
