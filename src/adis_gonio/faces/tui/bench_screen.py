@@ -26,6 +26,7 @@ from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
 from textual.geometry import Size
 from textual.screen import ModalScreen, Screen
+from textual.widget import Widget
 from textual.widgets import Input, Static
 
 from adis_gonio.base.errors import SessionError, UsageError
@@ -43,13 +44,22 @@ from adis_gonio.record.archive import ArchiveView
 Result = TypeVar("Result")
 
 
-class _Finishing(ModalScreen[Result]):
-    """Base class of dialogs that close only once, even if several keys follow quickly."""
+class _Box(ModalScreen[Result]):
+    """A heading with widgets below it, which closes only once even if several keys follow quickly."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("ctrl+c,ctrl+q", "app.stop_now", show=False, priority=True)
     ]
     _has_result = False
+
+    def __init__(self, heading: str, *content: Widget, hint: str) -> None:
+        super().__init__()
+        top = Static(Text(heading, style="bold"), id="heading")
+        self._content = (top, *content, Static(Text(hint, style="dim")))
+
+    def compose(self) -> ComposeResult:
+        """Create the box with its widgets."""
+        yield Vertical(*self._content, id="box")
 
     def finish(self, result: Result | None = None) -> None:
         """Close the dialog with a result, None for none; later calls do nothing."""
@@ -58,7 +68,7 @@ class _Finishing(ModalScreen[Result]):
             self.dismiss(result)
 
 
-class Dialog(_Finishing[str]):
+class Dialog(_Box[str]):
     """Dialog that asks a question and offers answers; Enter gives the selected answer.
 
     Parameters
@@ -87,29 +97,17 @@ class Dialog(_Finishing[str]):
         default: str,
         rows: Sequence[tuple[str, str]] = (),
     ) -> None:
-        super().__init__()
-        self._heading, self._text, self._rows = heading, text, rows
+        width = max((len(name) for name, _ in rows), default=0)
+        values = Text("\n".join(f"{name:<{width}}  {value}" for name, value in rows))
+        content = [Static(Text(text), id="text"), *([Static(values, id="values")] if rows else [])]
+        hint = "Enter takes ▶, ↑ ↓ move it, a letter answers at once"
+        super().__init__(heading, *content, Static(id="choices"), hint=hint)
         self._choices = list(choices.items())
         self._default = default
         self._at = list(choices).index(default) if default in choices else 0
 
-    def compose(self) -> ComposeResult:
-        """Create the box of the dialog with its texts."""
-        with Vertical(id="box"):
-            yield Static(Text(self._heading, style="bold"), id="heading")
-            yield Static(Text(self._text), id="text")
-            if self._rows:
-                width = max(len(name) for name, _ in self._rows)
-                lines = [f"{name:<{width}}  {value}" for name, value in self._rows]
-                yield Static(Text("\n".join(lines)), id="values")
-            yield Static(id="choices")
-            yield Static(Text("Enter takes ▶, ↑ ↓ move it, a letter answers at once", style="dim"))
-
     def on_mount(self) -> None:
         """Show the answers when the dialog is ready."""
-        self._show()
-
-    def _show(self) -> None:
         text = Text()
         for number, (answer, key) in enumerate(self._choices):
             here = number == self._at
@@ -123,7 +121,7 @@ class Dialog(_Finishing[str]):
     def action_move(self, step: int) -> None:
         """Select the next answer (step 1) or the previous one (step −1)."""
         self._at = (self._at + step) % len(self._choices)
-        self._show()
+        self.on_mount()
 
     def action_choose(self) -> None:
         """Close the dialog with the selected answer."""
@@ -138,44 +136,30 @@ class Dialog(_Finishing[str]):
                 return
 
 
-class LineDialog(_Finishing[str]):
+class LineDialog(_Box[str]):
     """Dialog in which the operator types a line, such as a note; after a cancel the result is empty."""
 
-    BINDINGS: ClassVar[list[BindingType]] = [Binding("escape", "give_up", show=False)]
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("escape", "finish('')", show=False)]
 
     def __init__(self, heading: str, hint: str) -> None:
-        super().__init__()
-        self._heading, self._hint = heading, hint
+        super().__init__(
+            heading, Input(placeholder=hint, id="note"), hint="Enter takes it, Esc gives it up"
+        )
 
-    def compose(self) -> ComposeResult:
-        """Create the box of the dialog with its input line."""
-        with Vertical(id="box"):
-            yield Static(Text(self._heading, style="bold"), id="heading")
-            yield Input(placeholder=self._hint, id="note")
-            yield Static(Text("Enter takes it, Esc gives it up", style="dim"))
-
-    def action_give_up(self) -> None:
-        """Close the dialog without a line."""
-        self.finish("")
+    def action_finish(self, line: str) -> None:
+        """Close the dialog with a line."""
+        self.finish(line)
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
         """Close the dialog with the typed line."""
         self.finish(event.value)
 
 
-class HelpDialog(_Finishing[None]):
+class HelpDialog(_Box[None]):
     """Dialog with a text to read, such as the keys; any key closes it."""
 
     def __init__(self, heading: str, text: str) -> None:
-        super().__init__()
-        self._heading, self._text = heading, text
-
-    def compose(self) -> ComposeResult:
-        """Create the box of the dialog with its text."""
-        with Vertical(id="box"):
-            yield Static(Text(self._heading, style="bold"), id="heading")
-            yield Static(Text(self._text), id="text")
-            yield Static(Text("any key closes this", style="dim"))
+        super().__init__(heading, Static(Text(text), id="text"), hint="any key closes this")
 
     def on_key(self, event: ui.Key) -> None:
         """Close the dialog at any key."""
@@ -214,9 +198,6 @@ class BenchApp(App[None]):
         Runner of the session, which has not started.
     resume_by : str
         Command that resumes the session.
-    remember : callable
-        Called with the state once a resumed session is open, to add the positions that earlier runs have
-        done.
     hands : Hands, optional
         Simulated part that the operator's keys move; None for a real part.
 
@@ -276,13 +257,7 @@ class BenchApp(App[None]):
     #box > Static:last-of-type { margin: 0; }
     """
 
-    def __init__(
-        self,
-        runner: SessionRunner,
-        resume_by: str,
-        remember: Callable[[BenchState], None] = lambda state: None,
-        hands: Hands | None = None,
-    ) -> None:
+    def __init__(self, runner: SessionRunner, resume_by: str, hands: Hands | None = None) -> None:
         super().__init__()
         self.state = BenchState()
         self.state.hands = hands is not None
@@ -292,7 +267,6 @@ class BenchApp(App[None]):
         self.abandoned = self.killed = False
         self._runner = runner
         self._resume_by = resume_by
-        self._remember = remember
         self._events: queue.SimpleQueue[events.Event] = queue.SimpleQueue()
         self._worker = threading.Thread(target=self._work, name="session", daemon=True)
         self._ended = threading.Event()
@@ -379,7 +353,7 @@ class BenchApp(App[None]):
             self._news_s = time.monotonic()
             self.state.take(event)
             if isinstance(event, events.Started) and event.resumed:
-                self._remember(self.state)
+                remember(self.state)
         self.state.reversed = self._runner.reversed
         self._flash_ticks = max(self._flash_ticks - 1, 0)
         self.show()
@@ -401,8 +375,8 @@ class BenchApp(App[None]):
         for line, style in screen_text.plan_rows(state, rows):
             plan.append(f"{line}\n", style=_STYLES[style])
         messages = Text()
-        for message in reversed(state.messages):  # the newest first, so that the oldest ones are cut off
-            messages.append(f"{message.text}\n", style="yellow" if message.level == "warned" else "")
+        for message, level in reversed(state.messages):  # the newest first: the oldest are cut off
+            messages.append(f"{message}\n", style="yellow" if level == "warned" else "")
         size = f"{LEAST_SIZE[0]} × {LEAST_SIZE[1]}"
         small = f"This screen needs {size}, the terminal has {self.size.width} × {self.size.height}."
         texts: dict[str, Text] = {
@@ -624,15 +598,15 @@ def run_screen(runner: SessionRunner, resume_by: str, hands: Hands | None = None
     KeyboardInterrupt
         The operator did not wait for the session's end, or a signal ended it.
     """
-    app = BenchApp(runner, resume_by, remember, hands)
+    app = BenchApp(runner, resume_by, hands)
     try:
         app.run(mouse=False)
     finally:
         runner.stop()
         if not app.abandoned:
             app.wait()
-    for message in app.state.messages:
-        print(f"  {message.text}", file=sys.stderr)  # noqa: T201
+    for message, _ in app.state.messages:
+        print(f"  {message}", file=sys.stderr)  # noqa: T201
     if app.abandoned or app.killed:
         raise KeyboardInterrupt
     if app.crash is not None:

@@ -33,14 +33,6 @@ class Mark(Enum):
 
 
 @dataclass(frozen=True)
-class Message:
-    """A line in the list of messages; its level is `said` or `warned`."""
-
-    text: str
-    level: Level = "said"
-
-
-@dataclass(frozen=True)
 class Span:
     """Progress of an activity with a known length.
 
@@ -109,8 +101,8 @@ class BenchState:
         Position of the last dwell; None after an interrupted dwell, because the sensor may have moved.
     reversed : bool
         True if the session counts turns in the direction opposite to the stage's scale.
-    messages : list of Message
-        Messages for the operator, the newest last.
+    messages : list of (str, str)
+        Messages for the operator with their levels, `said` or `warned`, the newest last.
     finished : Finished or None
         Event of the session's end; None before.
     """
@@ -144,7 +136,7 @@ class BenchState:
         self.here: Position | None = None
         self._turned_deg: float | None = None
         self.reversed = False
-        self.messages: list[Message] = []
+        self.messages: list[tuple[str, Level]] = []
         self.finished: events.Finished | None = None
 
     @property
@@ -200,7 +192,7 @@ class BenchState:
 
     def say(self, text: str, level: Level = "said") -> None:
         """Add the message `text` to the list of messages; its level is `said` or `warned`."""
-        self.messages = [*self.messages, Message(text, level)][-100:]
+        self.messages = [*self.messages, (text, level)][-100:]
 
     def take(self, event: events.Event) -> None:
         """Update the state and the messages by an event of the runner."""
