@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -29,7 +30,6 @@ from adis_gonio.device.sensor import open_sensor
 from adis_gonio.device.sensor.settings import sample_period_s
 from adis_gonio.faces.cli import app, main
 from adis_gonio.fitting import fit
-from adis_gonio.fitting.gyros.gyro_fit import gains_of
 from adis_gonio.fitting.gyros.gyro_readings import rate_intervals
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
@@ -336,23 +336,18 @@ def on_stage(path, *options):
     return answer.stdout
 
 
-def test_calibrate_keeps_the_moves_and_says_what_they_give_of_the_gain(tmp_path):
+def test_calibrate_keeps_the_moves_which_give_the_gain(tmp_path):
     path = tmp_path / "stage.session"
-    document = json.loads(on_stage(path, "--json"))
-    gain = document["gyro_gains"]["gyro_scale_z"]
-    assert document["gyro_gains"]["turns_used"] == 3
-    assert set(document["gyro_gains"]) == {"gyro_scale_z", "turns_used"}
-    assert abs(gain["value"] - 1.01) < 4 * gain["u"]
-    assert gain["u"] < 0.003
+    on_stage(path)
     gyros = CliRunner().invoke(app, ["fit", str(path), "--sensor-part", "gyro", "--json"])
     fitted = json.loads(gyros.stdout)
     assert fitted["turns_used"] == 3
-    assert fitted["parameters"]["gyro_scale_z"] == pytest.approx(gain)
-    line = gains_of(load_session(path)).line
-    assert float(line.split()[4]) == pytest.approx(gain["value"], abs=5e-5)
-    assert "by 3 turns" in line
-    assert line in CliRunner().invoke(app, ["fit", str(path)], terminal_width=200).output
-    assert line in html.unescape(inside(CliRunner(), path, tmp_path / "report.html"))
+    gain = fitted["parameters"]["gyro_scale_z"]
+    assert abs(gain["value"] - 1.01) < 4 * gain["u"]
+    assert gain["u"] < 0.003
+    page = inside(CliRunner(), path, tmp_path / "report.html")
+    told = html.unescape(page).replace("\u00a0", " ")
+    assert re.search(r">gain<.*?1\.0\d+ ± 0\.00", told, re.DOTALL)
 
 
 def inside(runner, path, page):
@@ -360,17 +355,12 @@ def inside(runner, path, page):
     return page.read_text("utf-8")
 
 
-def test_moves_are_left_out_where_that_is_wanted_and_nothing_is_said_of_gains(tmp_path):
+def test_moves_are_left_out_where_that_is_wanted(tmp_path):
     path = tmp_path / "stage.session"
-    told = on_stage(path, "--no-record-turns")
+    on_stage(path, "--no-record-turns")
     session = load_session(path)
     assert "turns" not in session.facts["settings"]
     assert not rate_intervals(session).column("turn").any()
-    assert gains_of(session) is None
-    assert "gain of gyro" not in told
-    assert "gyro_gains" not in json.loads(
-        on_stage(tmp_path / "other.session", "--no-record-turns", "--json")
-    )
 
 
 def test_the_option_of_earlier_versions_asks_for_what_is_the_default_now(tmp_path):

@@ -18,7 +18,7 @@ from adis_gonio.bench.writeback import OffsetWriter, WriteSettings
 from adis_gonio.calibrate import GyroCalibration
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.faces.cli import main
-from adis_gonio.fitting.gyros.gyro_fit import estimates_of_gyro_fit, gains_and_directions
+from adis_gonio.fitting.gyros.gyro_fit import gains_and_directions
 from adis_gonio.handover.session_export import ExportSource
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.provenance import provenance_of
@@ -160,13 +160,12 @@ def test_what_effects_add_becomes_the_gain_and_direction_of_the_same_gyro():
 
 
 def test_turns_that_tell_nothing_for_one_reason_are_one_line(fitted):
-    (told,) = [one for one in estimates_of_gyro_fit(fitted).remarks if "turns to dwell" in one]
+    (told,) = [one for one in fitted.warnings if "turns to dwell" in one]
     assert "to dwell 1–13: " in told
     assert "nothing was recorded" in told
 
 
 def test_a_residual_beyond_the_noise_is_a_doubt():
     result = adis_gonio.fit(recording("adis16350_14_poses"), part="gyro")
-    found = estimates_of_gyro_fit(result)
-    assert any("larger than their noise" in doubt for doubt in found.doubts)
-    assert any("gyro-turns" in remark for remark in found.remarks)
+    assert any("larger than their noise" in doubt for doubt in result.doubts_of_offsets)
+    assert any("gyro-turns" in remark for remark in result.warnings)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from adis_gonio.base.arrays import Floats, unit_directions
-from adis_gonio.base.errors import FitError, UsageError
+from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.jsonable import json_object
 from adis_gonio.calibrate.calibration import (
     VERSION,
@@ -33,7 +33,8 @@ from adis_gonio.calibrate.calibration import (
 from adis_gonio.device.sensor.registers import VARIANTS, Kind
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
-from adis_gonio.record.provenance import Covered
+from adis_gonio.record.provenance import Covered, Provenance
+from adis_gonio.record.write_journal import INTERRUPTED
 
 GYRO_OFFSET_DPS = VARIANTS["adis16354"].lsb(Kind.GYRO_OFFSET)[0]
 """Size in °/s of the LSB of the registers XGYRO_OFF …, equal at every range (data sheet, A)."""
@@ -55,6 +56,8 @@ _KINDS: dict[str, tuple[Sequence[str], str]] = {
 """Letters with which the names of the parameters of a kind end, and their unit, by kind of parameter."""
 KIND_OF = {f"{kind}_{letters}": kind for kind, (ends, _) in _KINDS.items() for letters in ends}
 """Kind of each gyro parameter by its name, such as `gyro_scale` of `gyro_scale_x`, in the usual order."""
+UNIT_OF = {name: _KINDS[kind][1] for name, kind in KIND_OF.items()}
+"""Unit of each gyro parameter by its name."""
 _EXPECTED = ("gyro_scale", "gyro_misalignment", "g_sensitivity")
 """Kinds of parameters that a calibration lists as assumed if the session does not determine them."""
 LEAST_DETERMINANT = 0.1
@@ -109,6 +112,7 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         covariance: tuple[Sequence[str], Floats] | None = None,
         *,
         method: str = "gyro",
+        where: Provenance | None = None,
         **about: Any,
     ) -> GyroCalibration:
         """Make a calibration from parameters by name, as a fit or a trace of the gyros gives them.
@@ -122,8 +126,10 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         covariance : (names, (p, p) float), optional
             Names of parameters, and their covariance in this order; it may contain other parameters. By
             default it is diagonal, from u.
+        where : Provenance, optional
+            Session that the estimates come from: the calibration is for its offset registers.
         about
-            Further attributes of the calibration, such as `temperature_c`.
+            Further attributes of the calibration, such as `not_corrected`.
 
         Raises
         ------
@@ -142,6 +148,9 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
                 f"the session does not determine {', '.join(missing)}: its gyros are not calibrated"
             )
         parameters = tuple(Coefficient.of(name, estimates[name]) for name in known)
+        if where is not None:
+            about |= {name: getattr(where, name) for name in ("temperature_c", "supply_v", "source")}
+            about["offsets_lsb"] = where.gyro_offsets_lsb
         made = cls(
             method=method,
             parameters=parameters,
@@ -155,8 +164,7 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
     def check(self) -> None:
         """Raise `FitError` for a wrong unit, or for impossible scale factors or misalignments."""
         for one in self.parameters:
-            kind = KIND_OF.get(one.name)
-            if kind is None or one.unit != _KINDS[kind][1]:
+            if one.unit != UNIT_OF.get(one.name):
                 raise FitError(f"{one.name} in {one.unit} is no parameter of a gyro")
         misalignment = self.by_kind(self.values)["gyro_misalignment"]
         if (np.abs(misalignment) >= 45).any() or abs(np.linalg.det(self.sensitivity)) < LEAST_DETERMINANT:
@@ -333,6 +341,27 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         now = checked_offsets(offsets_lsb)
         moved = GYRO_OFFSET_DPS * (np.array(now) - np.array(self.offsets_lsb))
         return replace(self._with_bias_moved(moved), offsets_lsb=now)
+
+    def as_written(self, where: Provenance | None) -> GyroCalibration:
+        """Return a calibration adapted to the offsets that were written to the chip after its session.
+
+        Gyro offsets change the zero rates; accelerometer offsets change the measured force. The calibration
+        is unchanged if its session `where` is unknown (None).
+
+        Raises
+        ------
+        SessionError
+            A write of gyro offsets was interrupted.
+        """
+        if where is None:
+            return self
+        if where.gyro_write_open:
+            raise SessionError(f"{where.source}: {INTERRUPTED}")
+        gyro = self if where.gyro_written_lsb is None else self.with_offsets(where.gyro_written_lsb)
+        if where.offsets_lsb is None or where.written_lsb is None or where.sensor not in VARIANTS:
+            return gyro
+        moved = np.array(where.written_lsb) - np.array(where.offsets_lsb)
+        return gyro.with_force_moved(moved * VARIANTS[where.sensor].accel_mg_per_lsb / 1000)
 
     def with_force_moved(self, moved_g: ArrayLike) -> GyroCalibration:
         """Return the calibration for accelerometers that now read `moved_g` (3,) more, in g.

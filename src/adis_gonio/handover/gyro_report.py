@@ -10,7 +10,7 @@ from adis_gonio.base import numbers
 from adis_gonio.base.errors import AdisGonioError, DataError
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.allan import AllanResult, AxisNoise, allan_fit, fit_allan
-from adis_gonio.fitting.gyros.gyro_fit import GyroFit, fit_gyro, gains_in
+from adis_gonio.fitting.gyros.gyro_fit import GyroFit, fit_gyro
 from adis_gonio.handover.register_offsets import gyro_offset_words
 from adis_gonio.model.records import Session
 from adis_gonio.page.document import Figure, Role, Section, Series, Table, plot, render
@@ -31,9 +31,6 @@ def gyro_section(session: Session) -> Section | None:
         f"Residual {numbers.format_number(result.residual_rms_dps)} °/s rms; χ² / degrees of freedom "
         f"{numbers.format_number(result.chi2)} / {result.dof}.",
     ]
-    gains = gains_in(result)
-    if gains is not None:
-        sentences.append(gains.line)
     return Section(
         "Gyros",
         words=sentences,

@@ -28,14 +28,7 @@ from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
 from adis_gonio.fitting.fit_result import as_written, assumed_parameters, known_provenance, outputs_of
-from adis_gonio.fitting.gyros.gyro_fit import (
-    GyroEstimates,
-    estimates_of_gyro_fit,
-    fit_gyro,
-    gyro_as_written,
-    make_gyro_calibration,
-    stated_parameters,
-)
+from adis_gonio.fitting.gyros.gyro_fit import fit_gyro, stated_parameters
 from adis_gonio.model.effects import AXES, catalogue, effect
 from adis_gonio.model.records import MG_PER_G, Session
 from adis_gonio.record.provenance import Provenance, provenance_of
@@ -270,8 +263,10 @@ def _reason_not_corrected(term: Term, result: TraceResult, at_s: float) -> NotCo
     return _not_corrected(term, _NAMELESS, _UNKNOWN)
 
 
-def estimates_of_gyro_trace(result: TraceResult) -> GyroEstimates:
-    """Return the zero rates and the correctable effects of gyros, from the final model of a trace.
+def gyro_calibration_of_trace(result: TraceResult) -> GyroCalibration:
+    """Return the calibration by the final model of a gyro trace, for the offsets during the recording.
+
+    It has the zero rates and the correctable effects.
 
     Raises
     ------
@@ -282,7 +277,6 @@ def estimates_of_gyro_trace(result: TraceResult) -> GyroEstimates:
     kept = [term for term in final.terms if isinstance(term, NamedTerm) and term.effect.correctable]
     left = [_not_corrected(one, _GYRO_NAMELESS, _GYRO_UNKNOWN) for one in final.terms if one not in kept]
     left += _unnamed_left(result, _GYRO_NAMELESS)
-    doubts = () if result.adequacy != "not adequate" else ("the gyros' trace found its model not adequate",)
     shown = [(one.name, one.unit) for one in final.data.model.parameters]
     places = list(range(len(shown)))
     for term in kept:
@@ -296,12 +290,12 @@ def estimates_of_gyro_trace(result: TraceResult) -> GyroEstimates:
     matrix = matrix * result.inflation
     sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     rows = map(Coefficient, stated, values.tolist(), sizes.tolist(), [unit for _, unit in shown])
-    return GyroEstimates(
-        "trace",
+    return GyroCalibration.of(
         dict(zip(stated, rows, strict=True)),
         (stated, matrix),
-        tuple(left),
-        doubts,
+        method="trace",
+        where=result.provenance,
+        not_corrected=tuple(left),
     )
 
 
@@ -357,7 +351,7 @@ def gyro_calibration_of(session: Session, *, traced: bool = False) -> GyroCalibr
     SessionError
         A write of gyro offsets was interrupted, so that the current offsets are unknown.
     """
-    return gyro_as_written(gyros_as_recorded(session, traced=traced), provenance_of(session))
+    return gyros_as_recorded(session, traced=traced).as_written(provenance_of(session))
 
 
 def gyros_as_recorded(session: Session, *, traced: bool = False) -> GyroCalibration:
@@ -365,22 +359,11 @@ def gyros_as_recorded(session: Session, *, traced: bool = False) -> GyroCalibrat
 
     `traced` is True for the traced model with its effects.
     """
-    return make_gyro_calibration(gyro_estimates_of(session, traced=traced), provenance_of(session))
-
-
-def gyro_estimates_of(session: Session, *, traced: bool = False) -> GyroEstimates:
-    """Return the calibration parameters of a session's gyros, from the fit or (if `traced`) the trace.
-
-    Raises
-    ------
-    DataError, FitError
-        The session has no gyros of known unit, or no dwell.
-    """
     if traced:
         from adis_gonio.tracing.trace import trace
 
-        return estimates_of_gyro_trace(trace(session, part="gyro"))
-    return estimates_of_gyro_fit(fit_gyro(session))
+        return gyro_calibration_of_trace(trace(session, part="gyro"))
+    return fit_gyro(session).calibration_as_recorded()
 
 
 _FOR_OTHERS = (".h", ".hpp", ".xml", ".html", ".parquet")

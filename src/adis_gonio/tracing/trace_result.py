@@ -397,11 +397,9 @@ class TraceResult(ParameterTable):
             A write of offsets to the sensor was interrupted.
         """
         if self.part == GYRO:
-            from adis_gonio.fitting.gyros.gyro_fit import gyro_as_written, make_gyro_calibration
-            from adis_gonio.tracing.trace_calibrations import estimates_of_gyro_trace
+            from adis_gonio.tracing.trace_calibrations import gyro_calibration_of_trace
 
-            made = make_gyro_calibration(estimates_of_gyro_trace(self), self.provenance)
-            return gyro_as_written(made, self.provenance)
+            return gyro_calibration_of_trace(self).as_written(self.provenance)
         if self.part != ACCELEROMETER:
             raise FitError(f"no calibration is made of a trace of the part {self.part}")
         from adis_gonio.tracing.trace_calibrations import calibration_of_trace

@@ -1,11 +1,11 @@
-"""Gyros of a simulated part: its offset registers, and estimates of a session that knows its truth."""
+"""Gyros of a simulated part: its offset registers, and a fit that knows its truth."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from adis_gonio.fitting.gyros.gyro_fit import GyroEstimates
-from handover.gyros import Estimated
+from adis_gonio.base.uncertainty import Value
+from adis_gonio.fitting.gyros.gyro_fit import GyroFit
 
 GYROS = ("XGYRO_OFF", "YGYRO_OFF", "ZGYRO_OFF")
 LSB = 0.018315
@@ -28,7 +28,7 @@ def gyro_flash(bus) -> tuple[int, ...]:
     return tuple(_signed(bus.chip.memory._flash[name]) for name in GYROS)
 
 
-def known_gyros(bus, *, u_dps: float = 0.004, more: dict[str, float] | None = None) -> GyroEstimates:
+def known_gyros(bus, *, u_dps: float = 0.004, more: dict[str, float] | None = None) -> GyroFit:
     """What a session would know of a part: its hidden zero rates and g-sensitivity."""
     truth = bus.world.truth()
     kinds = ("gyro_bias", "g_sensitivity")
@@ -36,9 +36,9 @@ def known_gyros(bus, *, u_dps: float = 0.004, more: dict[str, float] | None = No
     for name, by in (more or {}).items():
         values[name] += by
     units = {name: "dps" if name.startswith("gyro") else "dps/g" for name in values}
-    estimates = {name: Estimated(v, u_dps, units[name]) for name, v in values.items()}
+    parameters = {name: Value(v, u_dps, units[name]) for name, v in values.items()}
     matrix = np.diag([u_dps**2] * len(values))
-    return GyroEstimates("gyro", estimates, (list(values), matrix))
+    return GyroFit(parameters, matrix, 0.0, 1, np.zeros((1, 3)), (0,), 0)
 
 
 def _signed(word: int) -> int:

@@ -23,6 +23,7 @@ from adis_gonio.bench.writeback import (
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.device.sensor.registers import GYRO_OFF
 from adis_gonio.faces.cli import main
+from adis_gonio.record.provenance import provenance_of
 from adis_gonio.record.write_journal import describe_writes, operations
 from adis_gonio.tracing.trace_calibrations import gyro_calibration_of
 from bench.writeback.gyro_rig import FAULTS, GYROS, LSB, gyro_flash, gyro_numbers, known_gyros
@@ -55,7 +56,8 @@ def known(monkeypatch):
     held = {"estimates": known_gyros(part())}
     for module in ("tracing.trace_calibrations", "bench.writeback.offset_checks"):
         monkeypatch.setattr(
-            f"adis_gonio.{module}.gyro_estimates_of", lambda session, traced=False: held["estimates"]
+            f"adis_gonio.{module}.fit_gyro",
+            lambda session: replace(held["estimates"], provenance=provenance_of(session)),
         )
     return held
 

@@ -12,7 +12,6 @@ from adis_gonio import fit
 from adis_gonio.base.errors import DataError
 from adis_gonio.base.numbers import format_ranges, format_uncertain, format_unit
 from adis_gonio.faces.cli import main
-from adis_gonio.fitting.gyros.gyro_fit import estimates_of_gyro_fit
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.record.samples_writer import write_samples_csv
 from adis_gonio.tracing import trace_summary as words
@@ -45,7 +44,7 @@ def test_what_no_gyro_at_rest_reads_is_said_and_nothing_is_written_by_it(own, to
     for line, piece in zip(result.doubts, told, strict=True):
         assert piece in line
     assert set(result.doubts) <= set(result.warnings)
-    assert set(result.doubts) <= set(estimates_of_gyro_fit(result).doubts)
+    assert set(result.doubts) <= set(result.doubts_of_offsets)
 
 
 def test_sound_gyros_are_not_accused():

@@ -11,6 +11,7 @@ import pytest
 from scipy.stats import f as fisher
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.calibrate.gyro_calibration import UNIT_OF
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.gyros import gyro_fit as module
 from adis_gonio.fitting.gyros.gyro_fit import fit_gyro_readings
@@ -105,7 +106,7 @@ def test_a_residual_is_too_large_beyond_a_third_of_one_percent(side: float) -> N
         free=np.array([True] * 6 + [False]),
     )
     assert data.noise_dof == noise_dof
-    found = module._inflation(model)
+    found = module._Model.inflation.func(model)
     assert found["x"] == (1.0, noise_dof)
     assert found["z"] == ((1.0, noise_dof) if side < 1 else (pytest.approx(chi2 / dof), 5.0))
 
@@ -193,10 +194,9 @@ def test_a_direction_of_the_gyros_is_measured_in_radians() -> None:
         "gyro_scale_x, z", "g_sensitivity_xz",
     ]  # fmt: skip
     assert module._stated_name("gyro_scale_error_y") == "gyro_scale_y"
-    assert [module._unit(name) for name in ("gyro_bias_x", "gyro_scale_y", "gyro_misalignment_xy")] == [
+    assert [UNIT_OF[name] for name in ("gyro_bias_x", "gyro_scale_y", "gyro_misalignment_xy")] == [
         "dps", "1", "deg",
     ]  # fmt: skip
-    assert module._unit("gyro_tau") == "1"
 
 
 def test_dwells_left_out_miss_by_what_the_hat_matrix_says() -> None:
@@ -207,10 +207,9 @@ def test_dwells_left_out_miss_by_what_the_hat_matrix_says() -> None:
         hat = rows @ np.linalg.pinv(rows)
         left = (data.mean - hat @ data.mean) / (1 - np.diagonal(hat))[:, None]
         for k, axis in enumerate("xyz"):
-            assert scores[name].rms_dps[axis] == pytest.approx(
-                math.sqrt((left[:, k] ** 2).mean()), rel=1e-6
-            )
-            assert scores[name].max_dps[axis] == pytest.approx(np.abs(left[:, k]).max(), rel=1e-6)
+            rms = scores[name]["residual_rms_by_axis_dps"][axis]
+            assert rms == pytest.approx(math.sqrt((left[:, k] ** 2).mean()), rel=1e-6)
+        assert scores[name]["residual_max_dps"] == pytest.approx(np.abs(left).max(), rel=1e-6)
     assert set(scores) == {
         "zero rate", "gyro", "gyro with a drift with time", "gyro with a drift from dwell to dwell",
         "gyro with a warm-up",

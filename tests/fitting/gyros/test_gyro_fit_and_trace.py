@@ -59,8 +59,8 @@ def test_plain_least_squares_gives_the_figures_that_are_to_be_reproduced(recordi
 
 def test_fit_of_the_recording_brings_the_falls_with_names(recording):
     result = adis_gonio.fit(POSES, part="gyro")
-    before, force = result.scores["zero rate"].rms_dps, result.scores["gyro"].rms_dps
-    drift = result.scores["gyro with a drift from dwell to dwell"].rms_dps
+    before, force = (result.scores[name]["residual_rms_by_axis_dps"] for name in ("zero rate", "gyro"))
+    drift = result.scores["gyro with a drift from dwell to dwell"]["residual_rms_by_axis_dps"]
     assert before["y"] > 0.235
     assert force["y"] <= 0.053
     assert drift["x"] <= 0.066 < 0.137 < before["x"]

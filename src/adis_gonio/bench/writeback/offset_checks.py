@@ -39,18 +39,17 @@ from adis_gonio.device.sensor.registers import (
 from adis_gonio.device.sensor.scanning import ScanStream
 from adis_gonio.device.sensor.settings import Configuration, ScanBlock, join, white_noise_gain
 from adis_gonio.fitting import fit
+from adis_gonio.fitting.gyros.gyro_fit import GyroFit, fit_gyro
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.measurement import FreeAttitude, PlanarTurn
 from adis_gonio.model.records import Session
 from adis_gonio.record.source import LEAST_SAMPLES
 from adis_gonio.record.stillness import NoiseMeter, StillnessWatch, limits_from_noise, window_samples
 from adis_gonio.record.write_journal import Numbers
-from adis_gonio.tracing.trace_calibrations import gyro_estimates_of, gyros_as_recorded
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
     from adis_gonio.fitting import FitResult
-    from adis_gonio.fitting.gyros.gyro_fit import GyroEstimates
 
 REGISTERS = (*ACCEL_OUT, "XTEMP_OUT", "SUPPLY_OUT")
 
@@ -476,25 +475,26 @@ class Gyros:
         self._figures = variant(session.sensor).performance
 
     @cached_property
-    def _found(self) -> GyroEstimates:
-        return gyro_estimates_of(self.session)
+    def result(self) -> GyroFit:
+        """Fit of the gyros, by which the zero rates to cancel are known."""
+        return fit_gyro(self.session)
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """Remarks of the gyro fit on undetermined parameters and on drift."""
-        return self._found.remarks
+        return self.result.warnings
 
     @cached_property
     def gyro(self) -> GyroCalibration:
         """Calibration of the gyros with the offsets that they had during the recording."""
-        made = gyros_as_recorded(self.session)
+        made = self.result.calibration_as_recorded()
         if made.covariance is None:
             raise FitError(f"{self.session.source}: the uncertainty of its zero rates is unknown")
         return made
 
     def plan(self, now: Numbers) -> WritePlan:
         """Plan the new numbers for the offset registers; `now` has the present numbers."""
-        return plan_gyro_offsets(self.session, self.gyro, now, self._found.doubts)
+        return plan_gyro_offsets(self.session, self.gyro, now, self.result.doubts_of_offsets)
 
     def expected(self, plan: WritePlan, rest: Rest) -> Agreement:
         """Compare the mean rates of a dwell with the zero rates that the session predicts.

@@ -222,16 +222,15 @@ def _run(
 def _show_result(
     session: Session, advisor: TraceAdvisor | None, *, complete: bool, as_json: bool, brief: bool
 ) -> None:
-    """Show the fit of a session, the scale factors of its gyros, and its trace if requested.
+    """Show the fit of a session, and its trace if requested.
 
     The trace is requested if `advisor` is not None. `complete` is True if all positions were measured;
     `as_json` prints a JSON document instead of text; `brief` prints the answer only, because a terminal of
     24 lines follows a session on the screen.
     """
-    from adis_gonio.faces.cli.fit_commands import print_answer, print_gains
+    from adis_gonio.faces.cli.fit_commands import print_answer
     from adis_gonio.faces.cli.trace_commands import print_loop, print_trace
     from adis_gonio.fitting import fit
-    from adis_gonio.fitting.gyros.gyro_fit import gains_of
     from adis_gonio.tracing.traced_answer import answer_with_trace
 
     truth = session.facts.get("truth")
@@ -241,9 +240,6 @@ def _show_result(
         document = answer.as_dict()
         document |= {"session": session.source, "complete": complete, "truth": truth}
         document["doubts"] = session.facts["doubts"]
-        gains = gains_of(session)
-        if gains is not None:
-            document["gyro_gains"] = gains.as_dict()
         if traced is not None:
             document |= {"trace": traced.as_dict(), "rounds": session.facts["advised"]}
         print_json(document)
@@ -254,7 +250,6 @@ def _show_result(
         click.echo(f"more: adis-gonio {' | '.join(more)} {shlex.quote(str(session.source))}")
         return
     print_answer(answer, truth)
-    print_gains(session)
     if traced is not None:
         click.echo()
         print_trace([session], traced)

@@ -118,7 +118,6 @@ def fit_command(
     # `calibrate` shows the truth of simulated positions, `fit` the truth of a simulated free turn.
     truth = loaded.facts.get("truth") if loaded.free_turn else None
     print_answer(answer, truth, head, shown=loaded.notes, everything=everything)
-    print_gains(loaded)
     if stated is not None:
         first, *rest = stated.lines
         show.console(most=show.WIDTH).print("\n".join([f"\n{first}", *(f"  {line}" for line in rest)]))
@@ -211,15 +210,6 @@ def _print_scores(screen: Console, answer: Answer, *, everything: bool) -> None:
         show.print_table(screen, block_head, block, (0, 1))
 
 
-def print_gains(session: Session) -> None:
-    """Show the scale factors of the gyros from the moves between dwells, if the session gives any."""
-    from adis_gonio.fitting.gyros.gyro_fit import gains_of
-
-    gains = gains_of(session)
-    if gains is not None:
-        show.console(most=show.WIDTH).print(gains.line)
-
-
 def _print_monte_carlo(screen: Console, run: MonteCarlo) -> None:
     screen.print(f"\nMonte Carlo, {run.trials} trials (GUM Supplement 1)", style="bold")
     show.print_table(screen, *run.rows(), (0, 1))
@@ -263,7 +253,8 @@ def show_gyro_fit(
     if result.scores:
         screen.print("\nEach dwell left out in turn, error of its rate in °/s, rms")
         scores = [
-            (name, *(f"{v:.3f}" for v in score.rms_dps.values())) for name, score in result.scores.items()
+            (name, *(f"{v:.3f}" for v in score["residual_rms_by_axis_dps"].values()))
+            for name, score in result.scores.items()
         ]
         show.print_table(screen, ("model", *"xyz"), scores)
     for text in result.warnings:

@@ -27,22 +27,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats, central_differences, solvable
-from adis_gonio.base.errors import AdisGonioError, FitError, SessionError
+from adis_gonio.base.errors import FitError
 from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.tables import Entries, ParameterTable
 from adis_gonio.base.uncertainty import INADEQUATE, Value
-from adis_gonio.calibrate.calibration import NotCorrected
-from adis_gonio.calibrate.gyro_calibration import GyroCalibration, gyro_directions
-from adis_gonio.device.sensor.registers import VARIANTS
+from adis_gonio.calibrate.gyro_calibration import UNIT_OF, GyroCalibration, gyro_directions
 from adis_gonio.fitting.estimation.fit import Fit, adequacy
-from adis_gonio.fitting.estimation.readings import GYRO, Readings, readings_of_part
+from adis_gonio.fitting.estimation.readings import GYRO, Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm
+from adis_gonio.fitting.gyros.gyro_readings import gyro_readings_of
 from adis_gonio.model.effects import AXES, Effect, effect
 from adis_gonio.model.measurement import SKEW_AXES
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import Provenance, provenance_of
-from adis_gonio.record.write_journal import INTERRUPTED
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate.calibration import Calibration
@@ -150,35 +148,6 @@ def alignment(parameters: Mapping[str, Value], covariance: Floats) -> dict[str, 
     return {name: Value(value, math.sqrt(max(u2, 0.0)), "deg", dof) for name, value, u2 in found}
 
 
-@dataclass(frozen=True)
-class GyroScore:
-    """Errors with which one model predicts the dwells, in °/s by gyro axis.
-
-    `rms_dps` has their root mean square and `max_dps` the largest size. Each dwell is predicted by a fit to
-    all other dwells.
-    """
-
-    rms_dps: dict[str, float]
-    max_dps: dict[str, float]
-
-    @classmethod
-    def of(cls, errors_dps: Floats) -> GyroScore:
-        """Make the score from the errors (n, 3) of the dwells."""
-        rms, most = np.sqrt((errors_dps**2).mean(axis=0)), np.abs(errors_dps).max(axis=0)
-        return cls(
-            *({axis: float(v) for axis, v in zip(AXES, values, strict=True)} for values in (rms, most))
-        )
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return one entry of the JSON key `scores`: rms over all axes, largest error, and rms by axis."""
-        both = np.array(list(self.rms_dps.values()))
-        return {
-            "residual_rms_dps": float(np.sqrt((both**2).mean())),
-            "residual_max_dps": max(self.max_dps.values()),
-            "residual_rms_by_axis_dps": dict(self.rms_dps),
-        }
-
-
 class GyroFit(ParameterTable):
     """Result of a fit of the gyros: their parameters with covariance, residuals and warnings.
 
@@ -211,9 +180,9 @@ class GyroFit(ParameterTable):
         Origin of the readings (None if no session was given), and values of its file that were overridden.
     fit : Fit or None
         The fitted model on its readings.
-    scores : mapping of str to GyroScore
-        Prediction errors of the models `zero rate`, `gyro` and `gyro` with a drift, on the same dwells,
-        left out one by one.
+    scores : mapping of str to mapping
+        Prediction errors in °/s of the models `zero rate`, `gyro` and `gyro` with a drift, on the same
+        dwells, left out one by one: rms over all axes, largest error, and rms by axis, as in JSON.
     """
 
     parameters: dict[str, Value]
@@ -228,7 +197,7 @@ class GyroFit(ParameterTable):
     doubts: tuple[str, ...] = ()
     inflation: dict[str, float] = field(default_factory=dict)
     reference_temperature_c: float | None = None
-    scores: dict[str, GyroScore] = field(default_factory=dict)
+    scores: dict[str, dict[str, Any]] = field(default_factory=dict)
     provenance: Provenance | None = field(default=None, compare=False)
     overrides: dict[str, Any] = field(default_factory=dict)
     fit: Fit | None = field(default=None, compare=False)
@@ -276,8 +245,19 @@ class GyroFit(ParameterTable):
         SessionError
             A write of gyro offsets was interrupted, so that only the sensor knows its offsets.
         """
-        made = make_gyro_calibration(estimates_of_gyro_fit(self), self.provenance)
-        return gyro_as_written(made, self.provenance)
+        return self.calibration_as_recorded().as_written(self.provenance)
+
+    def calibration_as_recorded(self) -> GyroCalibration:
+        """Return the calibration for the offsets of the gyros while the session was recorded."""
+        covariance = list(self.parameters), self.covariance
+        return GyroCalibration.of(self.parameters, covariance, where=self.provenance)
+
+    @property
+    def doubts_of_offsets(self) -> tuple[str, ...]:
+        """Reasons not to write offsets by this fit: `doubts`, and a residual above the noise."""
+        large = _larger(self.inflation)
+        own = (f"the gyros' residual is larger than their noise ({large})",) if large else ()
+        return (*own, *self.doubts)
 
     def caption_and_parameters(self) -> tuple[str, Entries]:
         """Return the caption of the table in notebooks, and the parameters by name.
@@ -329,15 +309,11 @@ def fit_gyro(session: Session, accelerometers: Calibration | None = None) -> Gyr
     UsageError
         The calibration is of another sensor, or states no uncertainties.
     """
-    if accelerometers is not None:
-        from adis_gonio.fitting.gyros.gyro_readings import gyro_readings_by
-
-        return _fit_session(session, gyro_readings_by(session, accelerometers))
-    return session.once(_fit_session)
+    return session.once(_fit_session) if accelerometers is None else _fit_session(session, accelerometers)
 
 
-def _fit_session(session: Session, readings: Readings | None = None) -> GyroFit:
-    readings = readings_of_part(session, GYRO) if readings is None else readings
+def _fit_session(session: Session, accelerometers: Calibration | None = None) -> GyroFit:
+    readings = gyro_readings_of(session, accelerometers)
     try:
         result = fit_gyro_readings(readings.training)
     except FitError as error:
@@ -368,26 +344,26 @@ def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
     tried = {"zero rate": _Model.of(data, ()), **models} if scored and len(data) > 2 else {}
     left = {name: _left_out(one) for name, one in tried.items()}
     errors = {name: own for name, own in left.items() if own is not None}
-    candidates = {name: _Candidate.of(model) for name, model in models.items()}
+    models = {name: one.settled() for name, one in models.items()}
     odds = _odds({name: errors[name] for name in models if name in errors})
-    best = candidates[METHOD]
+    best = models[METHOD]
     # The best model that determines all that the model without a drift determines.
     for name in sorted(odds, key=lambda name: -odds[name]):
-        if set(best.names) <= set(candidates[name].names):
-            best = candidates[name]
+        if set(best.determined[0]) <= set(models[name].determined[0]):
+            best = models[name]
             break
-    names, values, covariance = best.names, best.values, best.covariance.copy()
+    names, values, covariance = best.determined
     for name, share in odds.items():
-        other = candidates[name].all_values
+        other = dict(zip(*models[name].reported[:2], strict=True))
         apart = np.array([other[key] for key in names]) - values
-        covariance += share / sum(odds.values()) * np.outer(apart, apart)
-    fit, inflation = best.model.fit, best.inflation
+        covariance = covariance + share / sum(odds.values()) * np.outer(apart, apart)
+    fit, inflation = best.fit, {axis: own for axis, (own, _) in best.inflation.items()}
     parameters = {
         name: Value(
             value,
             math.sqrt(max(covariance[k, k], 0.0)),
-            _unit(name),
-            inflation[_gyro_of(name)][1],
+            UNIT_OF[name],
+            best.inflation[_gyro_of(name)][1],
         )
         for k, (name, value) in enumerate(zip(names, values.tolist(), strict=True))
     }
@@ -403,68 +379,19 @@ def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
         turns=0 if turned is None else int(turned.any(axis=1).sum()),
         warnings=(
             *data.notes,
-            *_warnings(data, best.model, inflation),
-            *_drifting(candidates, best, covariance, errors),
+            *_warnings(data, best.lost, inflation),
+            *_drifting(models, best, covariance, errors),
         ),
-        undetermined=tuple(best.model.lost),
-        inflation={axis: own for axis, (own, _) in inflation.items()},
+        undetermined=tuple(best.lost),
+        inflation=inflation,
         reference_temperature_c=None if temperature is None else float(temperature.mean()),
-        scores={name: GyroScore.of(one) for name, one in errors.items()},
+        scores={name: _score(one) for name, one in errors.items()},
         fit=fit,
     )
 
 
 def _with(word: str) -> str:
     return f"{METHOD} with a {word}"
-
-
-@dataclass(frozen=True)
-class _Candidate:
-    """A fitted model, with the parameters that a result by this model reports.
-
-    Attributes
-    ----------
-    model : _Model
-        The model.
-    inflation : mapping
-        Factor on the noise variance of each gyro and its degrees of freedom, by axis (`_inflation`).
-    names, values, covariance : sequence of str, (p,) float, (p, p) float
-        Names, values and covariance of the determined parameters. The covariance follows the residual if it
-        is larger than the noise. If the model has a drift, a zero rate is its mean over the dwells.
-    all_values : mapping of str to float
-        Values by name, also of parameters fixed at perfect gyros.
-    """
-
-    model: _Model
-    inflation: dict[str, tuple[float, float]]
-    names: list[str]
-    values: Floats
-    covariance: Floats
-    all_values: dict[str, float]
-
-    @classmethod
-    def of(cls, model: _Model) -> _Candidate:
-        inflation = _inflation(model)
-        # A large residual may leave parameters undetermined that the noise alone would determine.
-        while (
-            narrower := model.narrowed({axis: own for axis, (own, _) in inflation.items()})
-        ) is not model:
-            model, inflation = narrower, _inflation(narrower)
-        factor = np.sqrt([inflation.get(_gyro_of(name), (1.0, 0.0))[0] for name in model.names])
-        drifts = np.flatnonzero(~model.stated)
-        # A zero rate is stated with the mean of its drift over the dwells.
-        mean = np.eye(len(model.names))
-        mean[:3, drifts] = model.fit.columns[model.rests].mean(axis=0)[:, drifts]
-        values = mean @ model.fit.values.parameters
-        covariance = mean @ (model.covariance * np.outer(factor, factor)) @ mean.T
-        everything = stated_parameters(model.names, values, covariance, model.stated)
-        names, found, covariance = stated_parameters(
-            model.names, values, covariance, model.free & model.stated
-        )
-        # All gains share the error of the time base.
-        gains = np.where([name.startswith("gyro_scale_") for name in names], TIME_BASE_U * found, 0.0)
-        known = dict(zip(everything[0], everything[1].tolist(), strict=True))
-        return cls(model, inflation, names, found, covariance + np.outer(gains, gains), known)
 
 
 # -- determined parameters --------------------------------------------------------------------------------
@@ -519,10 +446,50 @@ class _Model:
         """The model with its free parameters fitted to the readings."""
         return self.begun.refit(within=np.eye(len(self.names))[:, self.free])
 
-    @property
-    def covariance(self) -> Floats:
-        """Covariance (p, p) of all parameters; rows and columns of fixed parameters are zero."""
-        return _covariance(self.fit, self.free)
+    def settled(self) -> _Model:
+        """Return a copy in which parameters are fixed that the noise determines but not the residual."""
+        narrower = self.narrowed({axis: own for axis, (own, _) in self.inflation.items()})
+        return self if narrower is self else narrower.settled()
+
+    @cached_property
+    def inflation(self) -> dict[str, tuple[float, float]]:
+        """Factor on the noise variance of each gyro that explains its residual, and its dof, by axis.
+
+        The factor is 1 if the residual agrees with the measured noise; its degrees of freedom are then the
+        noise's.
+        """
+        out, noise_dof = {}, self.data.noise_dof
+        for k, axis in enumerate(AXES):
+            own = sum(_gyro_of(self.names[j]) == axis for j in np.flatnonzero(self.free))
+            chi2, dof = float((self.fit.residual[:, k] ** 2).sum()), len(self.data) - own
+            agrees = dof <= 0 or adequacy(chi2, dof, noise_dof) >= INADEQUATE / len(AXES)
+            out[axis] = (1.0, noise_dof) if agrees else (chi2 / dof, float(min(dof, noise_dof)))
+        return out
+
+    @cached_property
+    def reported(self) -> tuple[list[str], Floats, Floats]:
+        """Names, values (p,) and covariance (p, p) of the parameters that a result states.
+
+        The covariance follows the residual if it is larger than the noise. If the model has a drift, a zero
+        rate is its mean over the dwells. Fixed parameters have the values of perfect gyros.
+        """
+        factor = np.sqrt([self.inflation.get(_gyro_of(name), (1.0, 0.0))[0] for name in self.names])
+        drifts = np.flatnonzero(~self.stated)
+        mean = np.eye(len(self.names))
+        mean[:3, drifts] = self.fit.columns[self.rests].mean(axis=0)[:, drifts]
+        covariance = mean @ (_covariance(self.fit, self.free) * np.outer(factor, factor)) @ mean.T
+        values = mean @ self.fit.values.parameters
+        names, stated, covariance = stated_parameters(self.names, values, covariance, self.stated)
+        # All gains share the error of the time base.
+        gains = np.where([name.startswith("gyro_scale_") for name in names], TIME_BASE_U * stated, 0.0)
+        return names, stated, covariance + np.outer(gains, gains)
+
+    @cached_property
+    def determined(self) -> tuple[list[str], Floats, Floats]:
+        """Names, values and covariance of the parameters in `reported` that the readings determine."""
+        names, values, covariance = self.reported
+        kept = np.flatnonzero(self.free[self.stated])
+        return [names[k] for k in kept], values[kept], covariance[np.ix_(kept, kept)]
 
     @cached_property
     def stated(self) -> NDArray[np.bool_]:
@@ -568,10 +535,6 @@ class _Model:
             free[int(u2.argmax())] = False
 
 
-def _lacks(data: Readings, name: str) -> bool:
-    return bool(data.conditions.lacks(effect(name, AXES).needs))
-
-
 def _gyro_of(name: str) -> str:
     """Return the letter of the gyro to which a parameter belongs, such as x for `g_sensitivity_xy`.
 
@@ -596,25 +559,6 @@ def _covariance(fit: Fit, free: NDArray[np.bool_]) -> Floats:
     return out
 
 
-def _inflation(model: _Model) -> dict[str, tuple[float, float]]:
-    """Return the factor on the noise variance of each gyro that explains its residual, by axis.
-
-    Each entry is the factor and the degrees of freedom of the factor. The factor is 1 if the residual
-    agrees with the measured noise; its degrees of freedom are then the noise's.
-    """
-    data, fit = model.data, model.fit
-    out = {}
-    for k, axis in enumerate(AXES):
-        own = sum(
-            bool(free) and _gyro_of(name) == axis
-            for name, free in zip(model.names, model.free, strict=True)
-        )
-        chi2, dof = float((fit.residual[:, k] ** 2).sum()), len(data) - own
-        agrees = dof <= 0 or adequacy(chi2, dof, data.noise_dof) >= INADEQUATE / len(AXES)
-        out[axis] = (1.0, data.noise_dof) if agrees else (chi2 / dof, float(min(dof, data.noise_dof)))
-    return out
-
-
 # -- parameters of a result -------------------------------------------------------------------------------
 
 _STATED = {"gyro_scale_error": "gyro_scale"}
@@ -624,13 +568,6 @@ _STATED = {"gyro_scale_error": "gyro_scale"}
 def _stated_name(name: str) -> str:
     stem, axes = name.rsplit("_", 1)
     return f"{_STATED.get(stem, stem)}_{axes}"
-
-
-_UNITS = {"gyro_bias": "dps", "gyro_scale": "1", "gyro_misalignment": "deg", "g_sensitivity": "dps/g"}
-
-
-def _unit(name: str) -> str:
-    return _UNITS.get(name.rsplit("_", 1)[0], "1")
 
 
 def stated_parameters(
@@ -695,6 +632,16 @@ def _left_out(model: _Model) -> Floats | None:
     return np.array(residuals)
 
 
+def _score(errors_dps: Floats) -> dict[str, Any]:
+    """Return the entry of `GyroFit.scores` for the errors (n, 3) with which a model predicts the dwells."""
+    squares = (errors_dps**2).mean(axis=0)
+    return {
+        "residual_rms_dps": float(np.sqrt(squares.mean())),
+        "residual_max_dps": float(np.abs(errors_dps).max()),
+        "residual_rms_by_axis_dps": dict(zip(AXES, np.sqrt(squares).tolist(), strict=True)),
+    }
+
+
 def _odds(errors: Mapping[str, Floats]) -> dict[str, float]:
     """Return the odds of each model against the model that predicts best, from their errors (n, 3).
 
@@ -717,21 +664,27 @@ def _odds(errors: Mapping[str, Floats]) -> dict[str, float]:
     return odds
 
 
-def _warnings(data: Readings, model: _Model, inflation: dict[str, tuple[float, float]]) -> list[str]:
+def _larger(inflation: Mapping[str, float]) -> str:
+    """Return the ratio of residual to noise of each gyro with a factor above 1, as text; often empty."""
+    large = [f"{axis} {math.sqrt(own):.2g}" for axis, own in inflation.items() if own > 1]
+    return f"{', '.join(large)} times" if large else ""
+
+
+def _warnings(data: Readings, lost: Sequence[str], inflation: Mapping[str, float]) -> list[str]:
+    """Return warnings of the undetermined parameters `lost`, and of a residual above the noise."""
     warnings = []
-    lost = [name for name in CALIBRATED if _lacks(data, name)] + _kinds(model.lost)
-    if lost:
+    lacking = [one.name for one in _EFFECTS if data.conditions.lacks(one.needs)] + _kinds(lost)
+    if lacking:
         steps = []
-        if any(name.startswith("g_") for name in model.lost) or _lacks(data, "g_sensitivity"):
+        if any(name.startswith("g_") for name in lacking):
             steps.append("measure poses with each axis up and down")
-        if _lacks(data, "gyro_scale") or any("scale" in name or "mis" in name for name in model.lost):
+        if any(not name.startswith("g_") for name in lacking):
             steps.append("turn the part by whole turns about each axis (plan gyro-turns)")
-        text = "; ".join([*lost, *steps])
+        text = "; ".join([*lacking, *steps])
         warnings.append(f"not determined, fixed at perfect gyros: {text}")
-    large = [f"{axis} {math.sqrt(own):.2g}" for axis, (own, _) in inflation.items() if own > 1]
-    if large:
+    if large := _larger(inflation):
         warnings.append(
-            f"the residual is larger than the measured noise ({', '.join(large)} times):"
+            f"the residual is larger than the measured noise ({large}):"
             " uncertainties are stated by the residual; trace --sensor-part gyro reports the missing effect"
         )
     return warnings
@@ -747,20 +700,20 @@ def _kinds(names: Sequence[str]) -> list[str]:
 
 
 def _drifting(
-    candidates: Mapping[str, _Candidate], best: _Candidate, covariance: Floats, errors: Mapping[str, Floats]
+    models: Mapping[str, _Model], best: _Model, covariance: Floats, errors: Mapping[str, Floats]
 ) -> list[str]:
     """Return warnings of a drift in the best model, and of g-sensitivities that a drift may imitate.
 
     `covariance` (p, p) of the parameters includes the uncertainty of the choice of the model. `errors` are
     the errors (n, 3) with which each model predicts left-out dwells, by name of the model.
     """
-    warnings = []
+    warnings, names = [], best.determined[0]
     order = "in this order of poses force cannot be fully separated from a"
     for word in DRIFTS:
-        one = candidates.get(_with(word))
+        one = models.get(_with(word))
         if one is None:
             continue
-        open_ = [name for name in best.names if name.startswith("g_") and name not in one.names]
+        open_ = [name for name in names if name.startswith("g_") and name not in one.determined[0]]
         if open_:
             warnings.append(
                 f"{order} {word}: with one in the model {', '.join(_kinds(open_))} cannot be determined;"
@@ -773,138 +726,11 @@ def _drifting(
                 f" {u[0]:.2g} °/s, without it {u[1]:.2g} °/s; gyro_bias is the mean over the dwells"
             )
     # More than half of the variance is the choice.
-    unsure = np.diagonal(covariance) > 2 * np.diagonal(best.covariance)
-    moved = [name for name, one in zip(best.names, unsure, strict=True) if one and name.startswith("g_")]
+    unsure = np.diagonal(covariance) > 2 * np.diagonal(best.determined[2])
+    moved = [name for name, one in zip(names, unsure, strict=True) if one and name.startswith("g_")]
     if moved:
         warnings.append(
             f"{order} drift of the zero rate: u of {', '.join(_kinds(moved))} includes the difference;"
             " repeat poses in another order"
         )
     return warnings
-
-
-_STEM = "gyro_scale_"
-
-
-@dataclass(frozen=True)
-class Gains:
-    """Scale factors of the gyros that follow from the turns between a session's positions.
-
-    Attributes
-    ----------
-    values : mapping of str to Value
-        Scale factors `gyro_scale_x …` of the gyros with a turn about their axis.
-    turns : int
-        Number of turns in the fit.
-    """
-
-    values: dict[str, Value]
-    turns: int
-
-    @property
-    def line(self) -> str:
-        """Text for the user, such as `gain of gyro Z by 3 turns between dwells: 1.0098 ± 0.0004`."""
-        shown = ", ".join(
-            f"{name.removeprefix(_STEM).upper()} {value}" for name, value in self.values.items()
-        )
-        gyros = "gyro" if len(self.values) == 1 else "gyros"
-        return f"gain of {gyros} {shown}, by {counted(self.turns, 'turn')} (fit --sensor-part gyro)"
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the JSON object: scale factors by parameter name, and the number of turns."""
-        return {name: value.as_dict() for name, value in self.values.items()} | {"turns_used": self.turns}
-
-
-def gains_in(result: GyroFit) -> Gains | None:
-    """Return the scale factors in a fit of the gyros; None if no turn determines a scale factor."""
-    found = {name: value for name, value in result.parameters.items() if name.startswith(_STEM)}
-    return Gains(found, result.turns) if found and result.turns else None
-
-
-def gains_of(session: Session) -> Gains | None:
-    """Fit the gyros of a session and return their scale factors; None if no turn determines one.
-
-    None also if the fit fails.
-    """
-    try:
-        if not any(turn.gyro is not None and len(turn) for turn in session.turns):
-            return None
-        return gains_in(fit_gyro_readings(readings_of_part(session, GYRO).training, scored=False))
-    except AdisGonioError:
-        return None
-
-
-@dataclass(frozen=True)
-class GyroEstimates:
-    """Estimated parameters of the gyros, from a fit or a trace, as the input of a calibration.
-
-    Attributes
-    ----------
-    method : str
-        Name of the method, as a result has it.
-    estimates : mapping of str to objects with `value`, `u`, `unit`
-        Estimated parameters by name.
-    covariance : (names, (p, p) float) or None
-        Names of parameters and their covariance in this order; None if unknown.
-    not_corrected : tuple of NotCorrected
-        Effects that were found and that a calibration does not correct.
-    doubts : tuple of str
-        Reasons not to write offsets from these estimates to the chip, one line each; usually empty.
-    remarks : tuple of str
-        Warnings for the user.
-    """
-
-    method: str
-    estimates: Mapping[str, Any]
-    covariance: tuple[Sequence[str], Floats] | None = None
-    not_corrected: tuple[NotCorrected, ...] = ()
-    doubts: tuple[str, ...] = ()
-    remarks: tuple[str, ...] = ()
-
-
-def estimates_of_gyro_fit(result: GyroFit) -> GyroEstimates:
-    """Convert the result of `fit --sensor-part gyro` to `GyroEstimates`.
-
-    A residual larger than the noise becomes a doubt.
-    """
-    large = [f"{axis} {math.sqrt(own):.2g}" for axis, own in result.inflation.items() if own > 1]
-    doubts = [f"the gyros' residual is larger than their noise ({', '.join(large)} times)"] if large else []
-    return GyroEstimates(
-        result.method,
-        dict(result.parameters),
-        (list(result.parameters), result.covariance),
-        doubts=(*doubts, *result.doubts),
-        remarks=result.warnings,
-    )
-
-
-def make_gyro_calibration(found: GyroEstimates, where: Provenance | None) -> GyroCalibration:
-    """Return the calibration for the offset registers as they were while the session was recorded.
-
-    `where` is the session that the estimates come from; None if unknown.
-    """
-    about: dict[str, Any] = {}
-    if where is not None:
-        about = {name: getattr(where, name) for name in ("temperature_c", "supply_v", "source")}
-        about["offsets_lsb"] = where.gyro_offsets_lsb
-    stated = found.estimates, found.covariance
-    return GyroCalibration.of(*stated, method=found.method, not_corrected=found.not_corrected, **about)
-
-
-def gyro_as_written(gyro: GyroCalibration, where: Provenance | None) -> GyroCalibration:
-    """Return a calibration adapted to the offsets that were written to the chip after its session.
-
-    Gyro offsets change the zero rates; accelerometer offsets change the measured force. The calibration is
-    unchanged if its session `where` is unknown (None). Fails with `SessionError` if a write of gyro offsets
-    was interrupted.
-    """
-    if where is None:
-        return gyro
-    if where.gyro_write_open:
-        raise SessionError(f"{where.source}: {INTERRUPTED}")
-    if where.gyro_written_lsb is not None:
-        gyro = gyro.with_offsets(where.gyro_written_lsb)
-    if where.offsets_lsb is None or where.written_lsb is None or where.sensor not in VARIANTS:
-        return gyro
-    moved = np.array(where.written_lsb) - np.array(where.offsets_lsb)
-    return gyro.with_force_moved(moved * VARIANTS[where.sensor].accel_mg_per_lsb / 1000)

@@ -410,26 +410,11 @@ def _interval_of_turn(
     )
 
 
-def gyro_readings_of(session: Session) -> Readings:
-    """Return the gyro readings of all dwells and turns, with `check` dwells; computed once per session.
+def gyro_readings_of(session: Session, accelerometers: Calibration | None = None) -> Readings:
+    """Return the gyro readings of all dwells and turns, with `check` dwells.
 
-    Raises
-    ------
-    DataError
-        The session has no gyros, or their unit is not known.
-    """
-    return session.once(_gyro_readings)
-
-
-def _gyro_readings(session: Session) -> Readings:
-    current().tell("noise of the gyros")
-    return readings_of_intervals(rate_intervals(session), session.sensor, session.gravity_mg)
-
-
-def gyro_readings_by(session: Session, accelerometers: Calibration) -> Readings:
-    """Return the gyro readings of all dwells and turns, with true rotations by calibrated accelerometers.
-
-    `accelerometers` is the calibration of the accelerometers of the same sensor.
+    They are computed once per session, unless `accelerometers` is given: a calibration of the
+    accelerometers of the same sensor, for the true rotations in the turns.
 
     Raises
     ------
@@ -438,14 +423,20 @@ def gyro_readings_by(session: Session, accelerometers: Calibration) -> Readings:
     UsageError
         The calibration is of another part, or states no uncertainties.
     """
+    if accelerometers is None:
+        return session.once(_gyro_readings)
     where = accelerometers.provenance
     for here, there in ((session.sensor, where.sensor), (session.serial, where.serial)):
         if here and there and here != there:
             raise UsageError(f"the calibration of the accelerometers is of {there}, the session of {here}")
-    current().tell("noise of the gyros")
     held = provenance_of(session)  # the offsets during the recording, without any write since then
     matching = accelerometers.for_registers(held.offsets_lsb, held.gyro_offsets_lsb)
-    intervals = rate_intervals(session, matching)
+    return _gyro_readings(session, matching)
+
+
+def _gyro_readings(session: Session, accelerometers: Calibration | None = None) -> Readings:
+    current().tell("noise of the gyros")
+    intervals = rate_intervals(session, accelerometers)
     return readings_of_intervals(intervals, session.sensor, session.gravity_mg)
 
 
