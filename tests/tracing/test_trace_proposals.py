@@ -11,7 +11,7 @@ import pytest
 from adis_gonio.base.numbers import format_duration
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing.proposals import (
-    PredictedDwells,
+    Predictions,
     expected_separations,
     information_nats,
     place,
@@ -23,20 +23,13 @@ from adis_gonio.tracing.trace_result import NextDwell
 RNG = np.random.default_rng(11)
 
 
-def predicted(means: list[float], spreads: list[float]) -> PredictedDwells:
+def predicted(means: list[float], spreads: list[float]) -> Predictions:
     """One row, one parameter a hypothesis."""
-    return PredictedDwells(
-        [np.array([[mean]]) for mean in means], [np.array([[[spread]]]) for spread in spreads]
-    )
-
-
-def nothing(count: int) -> PredictedDwells:
-    return PredictedDwells([np.zeros((0, 1))] * count, [np.zeros((0, 1, 1))] * count)
+    return [np.array([[[mean, spread]]]) for mean, spread in zip(means, spreads, strict=True)]
 
 
 def information(weights: list[float], means: list[float], spreads: list[float]) -> float:
-    dwells = predicted(means, spreads)
-    return float(information_nats(np.array(weights), nothing(len(means)), dwells)[0])
+    return float(information_nats(np.array(weights), predicted(means, spreads))[0])
 
 
 def test_information_is_nothing_between_equals_and_all_there_is_between_strangers():
@@ -68,7 +61,7 @@ def test_the_separation_is_the_chi2_that_the_wrong_model_leaves():
     """Excess of χ² of hypothesis j where i is true, against draws."""
     roots = [np.array([[[0.5, 0.0]], [[0.3, 0.2]]]), np.array([[[2.0, 0.0]], [[0.0, 1.0]]])]
     means = [np.array([[0.0], [1.0]]), np.array([[3.0], [-1.0]])]
-    apart = expected_separations(PredictedDwells(means, roots))
+    apart = expected_separations([np.dstack([mean, root]) for mean, root in zip(means, roots, strict=True)])
     flat = [root.reshape(2, 2) for root in roots]
     covariance = [root @ root.T + np.eye(2) for root in flat]
     for i, j in ((0, 1), (1, 0)):
@@ -114,11 +107,11 @@ def test_hysteresis_that_one_side_hides_is_asked_for_from_the_other():
     angles = [float(a) for a in range(0, 360, 30)] * 2
     result = trace(turn(angles, [1] * 24))
     assert any({"bias", "hysteresis"} <= set(group) for group in result.confounded)
-    asked = [m for m in result.measurements if "hysteresis" in (*m.one, *m.other)]
+    asked = [m for m in result.measurements if "hysteresis" in sum(m.separates, ())]
     assert asked
     assert all(m.approach < 0 for m in asked)
     both = trace(turn(angles, [1] * 12 + [-1] * 12))
-    assert not any({"backlash", "hysteresis"} & {*m.one, *m.other} for m in both.measurements)
+    assert not any({"backlash", "hysteresis"} & set(sum(m.separates, ())) for m in both.measurements)
 
 
 def test_time_that_is_angle_is_parted_by_coming_back():
@@ -198,12 +191,12 @@ def test_in_space_attitudes_are_proposed_as_directions():
 
 
 def made(angle: float, **changes: object) -> NextDwell:
-    first = NextDwell(angle, None, 1, 0.0, 7.3, 0.5, "decide", ("quadratic",), ("asymmetry",))
+    first = NextDwell(angle, None, 1, 0.0, 7.3, 0.5, "decide", (("quadratic",), ("asymmetry",)))
     return replace(first, **changes)
 
 
 def test_what_parts_the_same_is_one_sentence():
-    lines = sentences([made(45.0), made(135.0, approach=-1), made(90.0, one=(), other=("backlash",))])
+    lines = sentences([made(45.0), made(135.0, approach=-1), made(90.0, separates=((), ("backlash",)))])
     assert lines == (
         "measure at 45° and 135° from above: that tells quadratic from asymmetry "
         "(expected difference about 7 standard uncertainties)",
@@ -221,8 +214,8 @@ def test_a_faint_difference_promises_nothing_and_a_place_is_said_once():
 
 def test_what_could_not_be_seen_is_one_sentence():
     unseen = [
-        made(45.0, purpose="cover", one=(), other=("backlash",)),
-        made(90.0, purpose="cover", one=(), other=("backlash", "cubic")),
+        made(45.0, purpose="cover", separates=((), ("backlash",))),
+        made(90.0, purpose="cover", separates=((), ("backlash", "cubic"))),
     ]
     assert sentences(unseen) == (
         "measure at 45° and 90°: only then could backlash and cubic be seen, if there",

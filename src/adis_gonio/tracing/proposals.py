@@ -21,6 +21,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +31,7 @@ from adis_gonio.base.numbers import format_duration, join_words
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
-from adis_gonio.model.effects import AXES, Conditions, catalogue
+from adis_gonio.model.effects import AXES, catalogue
 from adis_gonio.model.effects.gyro_terms import WHOLE_TURNS
 from adis_gonio.model.effects.stage_terms import BETWEEN
 from adis_gonio.tracing.credible_sets import undecided
@@ -55,6 +56,8 @@ TYPICALS = 2.0
 START_RAD, SENSOR = 0.3, 0.03
 """Prior standard deviations of the start angle (rad), and of gains and skews (rad), about fitted values.
 Without a measurement these are known as well as sensors are alike."""
+PLAIN = 100.0
+"""Expected difference in standard uncertainties above which a sentence states only "more than"."""
 FAR = 1e6
 """Limit of predictions in standard uncertainties, because they may overflow in an extrapolation."""
 
@@ -62,31 +65,10 @@ _EFFORT_WAIT_S = 300.0
 """Wait in s that is as much effort as one additional position."""
 
 
-@dataclass(frozen=True)
-class ImaginedDwell:
-    """A dwell that could be measured after the session.
-
-    Attributes
-    ----------
-    angle_deg : float or None
-        Angle of the stage; None in space.
-    direction : tuple of float or None
-        In space: direction of gravity in the sensor; None in a plane.
-    approach : int
-        Direction from which the angle is to be reached: +1 from below, −1 from above, 0 from either.
-    wait_s : float
-        Waiting time in addition to the usual time between two dwells.
-    """
-
-    angle_deg: float | None
-    direction: tuple[float, float, float] | None
-    approach: int = 0
-    wait_s: float = 0.0
-
-    @property
-    def effort(self) -> float:
-        """Effort of measuring the dwell, in units of the effort for one additional position."""
-        return 1.0 + self.wait_s / _EFFORT_WAIT_S
+Predictions = list[Floats]
+"""Whitened readings of n imagined dwells as each hypothesis predicts them, arrays (n, rows, 1 + p).
+The first entry of the last axis is the predicted reading. The others are a root of the covariance that the
+p parameters of the hypothesis add to the predictions."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +87,8 @@ class Hypothesis:
         Posterior mean minus the fitted parameters, and a root of the posterior covariance.
     chi2 : float
         χ² of the residual plus χ² of the parameters with respect to their prior.
+    evidence : float
+        Log evidence of the session for the model.
     """
 
     labels: tuple[str, ...]
@@ -112,7 +96,8 @@ class Hypothesis:
     fit: Fit
     shift: Floats
     root: Floats
-    chi2: float = 0.0
+    chi2: float
+    evidence: float
 
 
 def propose(
@@ -142,14 +127,13 @@ def propose(
         rivals = _rivals(selection)
     else:
         inflation, rivals = _explanations(selection, terms)
-    chosen, decided = _greedy(data, inflation, rivals, most, "decide", [])
+    decided = _greedy(data, inflation, rivals, most, "decide", [])
     if not decided and not selection.adequate:
         # With noise that no model explains, measurements separate little; report the best of them anyway.
-        chosen, decided = _greedy(data, inflation, rivals, most, "decide", [], FAINT_SEPARATION)
+        decided = _greedy(data, inflation, rivals, most, "decide", [], FAINT_SEPARATION)
     known = {name for h in rivals for name in h.labels}
     unseen = _normalised(_extended(selection, terms, selection.inflation, known))
-    _, covered = _greedy(data, selection.inflation, unseen, most, "cover", chosen)
-    return (*decided, *covered)
+    return (*decided, *_greedy(data, selection.inflation, unseen, most, "cover", decided))
 
 
 # -- hypotheses -------------------------------------------------------------------------------------------
@@ -207,7 +191,7 @@ def _rivals(selection: Selection) -> list[Hypothesis]:
             break
         together += weight[names]
         fit = selection.fit if names == ours else fit_model(problem, best[names], selection.fit)
-        out.append(fitted_hypothesis(fit, weight[names], selection.inflation)[0])
+        out.append(fitted_hypothesis(fit, weight[names], selection.inflation))
     return _normalised(out)
 
 
@@ -243,18 +227,17 @@ def _extended(
     probability of the effect times the evidence of the session, with the noise variance multiplied by
     `inflation`.
     """
-    base, evidence = fitted_hypothesis(selection.fit, 1.0, inflation)
-    pairs = [(base, evidence)]
     chosen = selection.fit
-    inside = set(base.labels)
+    found = [fitted_hypothesis(chosen, 1.0, inflation)]
+    inside = set(found[0].labels)
     for name, term in widest_terms(terms).items():
         if name in known or name in inside:
             continue
         absent = term.start(np.zeros(len(term.amplitudes)))
         fit = chosen.with_terms((*chosen.terms, term), (*chosen.values.terms, absent))
-        pairs.append(fitted_hypothesis(fit, UNSEEN, inflation))
-    top = max(found for _, found in pairs)
-    return [replace(h, weight=h.weight * float(np.exp(found - top))) for h, found in pairs]
+        found.append(fitted_hypothesis(fit, UNSEEN, inflation))
+    top = max(h.evidence for h in found)
+    return [replace(h, weight=h.weight * float(np.exp(h.evidence - top))) for h in found]
 
 
 def widest_terms(terms: Sequence[Term]) -> dict[str, NamedTerm]:
@@ -276,8 +259,8 @@ def widest_terms(terms: Sequence[Term]) -> dict[str, NamedTerm]:
     return out
 
 
-def fitted_hypothesis(fit: Fit, weight: float, inflation: float) -> tuple[Hypothesis, float]:
-    """Return the hypothesis that a fitted model is true, and its log evidence.
+def fitted_hypothesis(fit: Fit, weight: float, inflation: float) -> Hypothesis:
+    """Return the hypothesis that a fitted model is true.
 
     `weight` is the hypothesis' prior probability; the noise variance is multiplied by `inflation`. The
     posterior of the parameters assumes priors of physically plausible size.
@@ -298,7 +281,7 @@ def fitted_hypothesis(fit: Fit, weight: float, inflation: float) -> tuple[Hypoth
     chi2 = float(left @ left) + float(((away / unit) ** 2).sum()) - float(pull @ step)
     evidence = -0.5 * chi2 - float(np.log(np.abs(np.diagonal(triangle))).sum())
     root = unit[:, None] * inverse
-    return Hypothesis(_labels(fit.terms), weight, fit, unit * step, root, chi2), evidence
+    return Hypothesis(_labels(fit.terms), weight, fit, unit * step, root, chi2, evidence)
 
 
 def parameter_prior(fit: Fit, flat: Floats) -> tuple[Floats, Floats]:
@@ -345,31 +328,12 @@ def _normalised(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
 # -- the design -------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class PredictedDwells:
-    """Whitened readings of n imagined dwells as each hypothesis predicts them.
-
-    Attributes
-    ----------
-    mean : list of (n, rows) float
-        Predicted readings by each hypothesis.
-    root : list of (n, rows, p) float
-        Root of the covariance that the parameters of each hypothesis add to the predictions.
-    """
-
-    mean: list[Floats]
-    root: list[Floats]
-
-    def of(self, k: int) -> PredictedDwells:
-        """Return the predicted readings of dwell number k alone."""
-        return PredictedDwells([m[k : k + 1] for m in self.mean], [r[k : k + 1] for r in self.root])
-
-    def after(self, other: PredictedDwells) -> PredictedDwells:
-        """Return the predictions for the dwells of `other`, followed by those for these dwells."""
-        return PredictedDwells(
-            [np.concatenate(pair) for pair in zip(other.mean, self.mean, strict=True)],
-            [np.concatenate(pair) for pair in zip(other.root, self.root, strict=True)],
-        )
+def _joined(first: Predictions, then: Predictions) -> Predictions:
+    """Return the predictions for sets of dwells, followed by those for further dwells of each set."""
+    return [
+        np.concatenate([np.repeat(one, len(two), axis=0), two], axis=1)
+        for one, two in zip(first, then, strict=True)
+    ]
 
 
 def _greedy(
@@ -378,9 +342,9 @@ def _greedy(
     hypotheses: list[Hypothesis],
     most: int,
     purpose: Purpose,
-    before: list[ImaginedDwell],
+    before: list[NextDwell],
     least: float = LEAST_SEPARATION,
-) -> tuple[list[ImaginedDwell], list[NextDwell]]:
+) -> list[NextDwell]:
     """Choose dwells one by one; each adds the most information per effort to the dwells before it.
 
     Parameters
@@ -389,37 +353,31 @@ def _greedy(
         Factor on the noise variance.
     most : int
         Largest number of dwells to choose.
-    before : list of ImaginedDwell
+    before : list of NextDwell
         Dwells that were chosen already.
     least : float
         Least difference of two hypotheses in standard uncertainties that a dwell must show.
-
-    Returns
-    -------
-    The dwells `before` and the chosen dwells, and the chosen dwells as records for the result.
     """
-    places = list(before)
     out: list[NextDwell] = []
     if len(hypotheses) < 2:
-        return places, out
+        return out
     weights = np.array([h.weight for h in hypotheses])
-    sizes, rows = [len(h.shift) for h in hypotheses], data.equations_each
-    set_of = PredictedDwells([np.zeros((0, rows)) for _ in sizes], [np.zeros((0, rows, p)) for p in sizes])
+    measured = [np.zeros((1, 0, 1 + len(h.shift))) for h in hypotheses]
     for count, place in enumerate(before):
-        set_of = _predict(data, inflation, hypotheses, [place], before[:count]).after(set_of)
-    known = float(information_nats(weights, set_of, None)[0])
+        measured = _joined(measured, _predict(data, inflation, hypotheses, [place], before[:count]))
+    known = float(information_nats(weights, measured)[0])
+    options = _options(data)
+    effort = np.array([1.0 + place.wait_s / _EFFORT_WAIT_S for place in options])
     while len(out) < most:
         check()
-        options = _options(data)
-        predicted = _predict(data, inflation, hypotheses, options, places)
-        gain = information_nats(weights, set_of, predicted) - known
-        effort = np.array([place.effort for place in options])
-        apart_before = expected_separations(set_of)
+        predicted = _predict(data, inflation, hypotheses, options, [*before, *out])
+        gain = information_nats(weights, _joined(measured, predicted)) - known
+        apart_before = expected_separations(measured)
         for k in np.argsort(-gain / effort)[:20].tolist():
             # Skip gains near zero, whose ranking depends on the grid's order and on rounding.
             if gain[k] < LEAST_INFORMATION[purpose] * min(least / LEAST_SEPARATION, 1.0) ** 2:
                 continue
-            with_it = predicted.of(k).after(set_of)
+            with_it = _joined(measured, [own[k : k + 1] for own in predicted])
             apart = expected_separations(with_it) - apart_before
             worth = _separated_pair(weights, apart, least)
             if worth is not None:
@@ -433,20 +391,19 @@ def _greedy(
             parted = [j for j in range(len(weights)) if j != one and reach[j] >= least**2]
         first = set(hypotheses[one].labels)
         others = [name for j in parted for name in hypotheses[j].labels if name not in first]
+        own = tuple(sorted(first - set(hypotheses[parted[0]].labels)))
         out.append(
-            NextDwell(
-                **vars(options[k]),
+            replace(
+                options[k],
                 separation=float(np.sqrt(max(apart[one, two], apart[two, one]))),
                 information=float(gain[k]),
                 purpose=purpose,
-                one=tuple(sorted(first - set(hypotheses[parted[0]].labels))),
-                other=tuple(dict.fromkeys(others)),
+                separates=(own, tuple(dict.fromkeys(others))),
             )
         )
-        places.append(options[k])
-        set_of = with_it
+        measured = with_it
         known += float(gain[k])
-    return places, out
+    return out
 
 
 def _separated_pair(weights: Floats, apart: Floats, least: float) -> tuple[int, int] | None:
@@ -468,29 +425,18 @@ def _separated_pair(weights: Floats, apart: Floats, least: float) -> tuple[int, 
     return (int(one), int(two)) if weights[one] >= weights[two] else (int(two), int(one))
 
 
-def information_nats(weights: Floats, given: PredictedDwells, options: PredictedDwells | None) -> Floats:
-    """Return the expected information (n,) in nats of each optional dwell about the true hypothesis.
+def information_nats(weights: Floats, dwells: Predictions) -> Floats:
+    """Return the expected information (n,) in nats about the true hypothesis, of each of n sets of dwells.
 
-    `weights` are the probabilities of the hypotheses. The dwells `given` are measured too. Without options
-    the result (1,) is for these dwells alone.
+    `weights` are the probabilities of the hypotheses. The predictions (n, rows, 1 + p) have the rows of all
+    dwells of a set.
     """
-    count = 1 if options is None else len(options.mean[0])
-    means, covariances = [], []
-    for k in range(len(weights)):
-        mean = np.tile(given.mean[k].reshape(1, -1), (count, 1))
-        root = np.tile(given.root[k].reshape(1, -1, given.root[k].shape[2]), (count, 1, 1))
-        if options is not None:
-            mean = np.concatenate([mean, options.mean[k]], axis=1)
-            root = np.concatenate([root, options.root[k]], axis=1)
-        means.append(mean)
-        covariances.append(root @ root.transpose(0, 2, 1) + np.eye(mean.shape[1]))
-    if not means[0].shape[1]:
-        return np.zeros(count)
+    distance = np.zeros((len(weights), len(weights), len(dwells[0])))
+    covariances = [own[..., 1:] @ own[..., 1:].transpose(0, 2, 1) + np.eye(own.shape[1]) for own in dwells]
     half = [0.5 * np.linalg.slogdet(c)[1] for c in covariances]
-    distance = np.zeros((len(weights), len(weights), count))
     for i, j in itertools.combinations(range(len(weights)), 2):
         middle = (covariances[i] + covariances[j]) / 2
-        difference = means[i] - means[j]
+        difference = dwells[i][..., 0] - dwells[j][..., 0]
         solved = np.linalg.solve(middle, difference[:, :, None])[:, :, 0]
         # Bhattacharyya distance: ⅛ Δᵀ M⁻¹ Δ + ½ ln |M| − ¼ ln |Cᵢ| |Cⱼ|, M the mean covariance.
         d = (difference * solved).sum(axis=1) / 8 + 0.5 * (np.linalg.slogdet(middle)[1] - half[i] - half[j])
@@ -499,20 +445,17 @@ def information_nats(weights: Floats, given: PredictedDwells, options: Predicted
     return np.asarray(-(weights[:, None] * np.log(np.maximum(mixed, 1e-300))).sum(axis=0))
 
 
-def expected_separations(dwells: PredictedDwells) -> Floats:
+def expected_separations(dwells: Predictions) -> Floats:
     """Return how well dwells separate K hypotheses: the expected excess χ² (K, K) of j if i is true.
 
     The excess is the χ² beyond its degrees of freedom.
     """
-    count = len(dwells.mean)
-    out = np.zeros((count, count))
-    if not dwells.mean[0].size:
-        return out
-    flat = [root.reshape(-1, root.shape[2]) for root in dwells.root]
-    covariance = [root @ root.T + np.eye(len(root)) for root in flat]
-    mean = np.array([own.ravel() for own in dwells.mean])
-    for j in range(count):
-        inverse = np.linalg.inv(covariance[j])
+    out = np.zeros((len(dwells), len(dwells)))
+    flat = [own.reshape(-1, own.shape[2]) for own in dwells]
+    mean = np.array([own[:, 0] for own in flat])
+    covariance = [own[:, 1:] @ own[:, 1:].T + np.eye(len(own)) for own in flat]
+    for j, matrix in enumerate(covariance):
+        inverse = np.linalg.inv(matrix)
         difference = mean - mean[j]
         # Expectation of χ² under j if i is true: trace(Cⱼ⁻¹ Cᵢ) + Δᵀ Cⱼ⁻¹ Δ, minus its own n.
         out[:, j] = ((difference @ inverse) * difference).sum(axis=1) - mean.shape[1]
@@ -524,19 +467,19 @@ def expected_separations(dwells: PredictedDwells) -> Floats:
 # -- imagined dwells --------------------------------------------------------------------------------------
 
 
-def _options(data: Readings) -> list[ImaginedDwell]:
+def _options(data: Readings) -> list[NextDwell]:
     """Return the imagined dwells to choose from: all positions, and some after a wait."""
     c = data.conditions
     if data.planar:
         sides = (1, -1) if c.approach is not None else (0,)
-        fine = [ImaginedDwell(float(a), None, side) for a in range(0, 360, 15) for side in sides]
+        fine = [NextDwell(float(a), None, side) for a in range(0, 360, 15) for side in sides]
         coarse = [place for place in fine if (place.angle_deg or 0.0) % 45 == 0 and place.approach >= 0]
     else:
         fine = []
         for v in itertools.product((-1, 0, 1), repeat=3):
             if any(v):
                 x, y, z = (float(s) for s in np.array(v) / np.linalg.norm(v))
-                fine.append(ImaginedDwell(None, (x, y, z)))
+                fine.append(NextDwell(None, (x, y, z)))
         coarse = [place for place in fine if place.direction and max(map(abs, place.direction)) == 1.0]
     length = float(np.ptp(c.time_s))
     wait = float(np.ceil(min(max(length, 30.0), 600.0) / 30) * 30)
@@ -547,9 +490,9 @@ def _predict(
     data: Readings,
     inflation: float,
     hypotheses: list[Hypothesis],
-    options: list[ImaginedDwell],
-    before: list[ImaginedDwell],
-) -> PredictedDwells:
+    options: list[NextDwell],
+    before: list[NextDwell],
+) -> Predictions:
     """Predict by each hypothesis the whitened readings of the dwells `options`, if each follows `before`.
 
     `before` are the dwells measured first; `inflation` is the factor on the noise variance. Predictions are
@@ -563,68 +506,63 @@ def _predict(
         for h in hypotheses
     ]
     whiten = fits[0].whitener / np.sqrt(inflation)
-    means, roots = [], []
+    out = []
     for h, fit in zip(hypotheses, fits, strict=True):
         with np.errstate(over="ignore", invalid="ignore"):  # an exponential far outside its range
             columns = whitened_columns(fit, whiten)
             mean = np.einsum("nrk,nk->nr", whiten, fit.predicted) + columns @ h.shift
-        means.append(np.clip(np.nan_to_num(mean, posinf=FAR, neginf=-FAR), -FAR, FAR))
-        roots.append(np.clip(columns @ h.root, -FAR, FAR))
-    return PredictedDwells(means, roots)
+        mean = np.nan_to_num(mean, posinf=FAR, neginf=-FAR)
+        out.append(np.clip(np.concatenate([mean[..., None], columns @ h.root], axis=2), -FAR, FAR))
+    return out
 
 
-def _imagined(data: Readings, options: list[ImaginedDwell], before: list[ImaginedDwell]) -> Readings:
+def _imagined(data: Readings, options: list[NextDwell], before: list[NextDwell]) -> Readings:
     """Return the readings of the imagined dwells `options`, after the session and the dwells `before`.
 
-    They have the last temperature of the session and its median supply.
+    They have the conditions of the last dwell, except for the median supply and the mean variance.
     """
     c, n = data.conditions, len(options)
-    end = float(c.time_s.max())
     step = float(np.median(np.diff(np.sort(c.time_s)))) if len(data) > 1 else 30.0
-    end += sum(step + place.wait_s for place in before)
-    time = end + step + np.array([place.wait_s for place in options])
-    angle = previous = approach = None
+    end = float(c.time_s.max()) + sum(step + place.wait_s for place in before)
     if data.planar:
-        assert c.angle_rad is not None
         angle = np.deg2rad([place.angle_deg or 0.0 for place in options])
-        last = before[-1].angle_deg if before else None
-        previous = np.full(n, c.angle_rad[-1] if last is None else np.deg2rad(last))
         ideal = np.stack([np.cos(angle), -np.sin(angle)], axis=1)
     else:
-        ideal = np.array([place.direction for place in options], dtype=float)
-    if c.approach is not None:
-        approach = np.array([float(place.approach) for place in options])
-    history = c.temperature_history
-    if history is not None and c.temperature_c is not None:
-        times, temperatures = history
+        angle, ideal = None, np.array([place.direction for place in options], dtype=float)
+    changed: dict[str, Any] = {
+        "time_s": end + step + np.array([place.wait_s for place in options]),
+        "angle_rad": angle,
+        "approach": np.array([float(place.approach) for place in options]),
+        "force_g": ideal,
+        "rate_dps": np.zeros((n, 3)),
+        "abs_rate_dps": None,
+    }
+    if c.order is not None:
+        changed["order"] = np.full(n, c.order.max() + 1 + len(before))
+    if before and before[-1].angle_deg is not None:
+        changed["previous_angle_rad"] = np.full(n, np.deg2rad(before[-1].angle_deg))
+    elif c.angle_rad is not None:
+        changed["previous_angle_rad"] = np.full(n, c.angle_rad[-1])
+    if c.supply_v is not None:
+        changed["supply_v"] = np.full(n, np.median(c.supply_v))
+    if c.variance_mg2 is not None:
+        changed["variance_mg2"] = np.tile(c.variance_mg2.mean(axis=0), (n, 1))
+    if c.temperature_history is not None and c.temperature_c is not None:
+        times, temperatures = c.temperature_history
         ends = max(end, float(times[-1])) + np.array([1.0, 1e5])
-        history = (np.append(times, ends), np.append(temperatures, [c.temperature_c[-1]] * 2))
+        changed["temperature_history"] = (
+            np.append(times, ends),
+            np.append(temperatures, [c.temperature_c[-1]] * 2),
+        )
+    recorded = {name: values for name, values in changed.items() if getattr(c, name) is not None}
     return from_means(
         data.model.size * (ideal if data.model.freedom else np.zeros((n, data.axes))),
         np.tile(data.covariance.mean(axis=0), (n, 1, 1)),
-        Conditions(
-            time_s=time,
-            angle_rad=angle,
-            order=None if c.order is None else np.full(n, c.order.max() + 1 + len(before)),
-            approach=approach,
-            previous_angle_rad=None if c.previous_angle_rad is None else previous,
-            temperature_c=None if c.temperature_c is None else np.full(n, c.temperature_c[-1]),
-            supply_v=None if c.supply_v is None else np.full(n, np.median(c.supply_v)),
-            temperature_history=history,
-            load_history=c.load_history,
-            variance_mg2=None if c.variance_mg2 is None else np.tile(c.variance_mg2.mean(axis=0), (n, 1)),
-            force_g=None if c.force_g is None else ideal,
-            rate_dps=None if c.rate_dps is None else np.zeros((n, 3)),
-            temperatures_c=None if c.temperatures_c is None else np.tile(c.temperatures_c[-1], (n, 1)),
-        ),
+        replace(c.rows(np.full(n, len(data) - 1)), **recorded),
         gravity_mg=data.gravity_mg,
         fixture_rad=data.fixture_rad,
         measurement=data.measurement,
     )
-
-
-PLAIN = 100.0
-"""Expected difference in standard uncertainties above which a sentence states only "more than"."""
 
 
 def advise(
@@ -649,7 +587,7 @@ def advise(
     measurements = tuple(replace(m, sentence=_sentence([m])) for m in propose(data, selection, terms))
     lines = list(sentences(measurements))
     strong = [m for m in measurements if m.purpose == "decide" and m.separation >= LEAST_SEPARATION]
-    decided = {name for m in strong for name in (*m.one, *m.other)}
+    decided = {name for m in strong for names in m.separates for name in names}
     inside = {term.name for term in selection.terms}
     remedies = {
         name: (not data.planar and kind.remedy_in_space) or kind.remedy
@@ -677,7 +615,7 @@ def sentences(measurements: Sequence[NextDwell]) -> tuple[str, ...]:
     groups: dict[object, list[NextDwell]] = {}
     for m in measurements:
         # A group separates one pair of hypotheses, or shows effects that are not yet visible.
-        groups.setdefault("cover" if m.purpose == "cover" else (m.one, m.other), []).append(m)
+        groups.setdefault("cover" if m.purpose == "cover" else m.separates, []).append(m)
     return tuple(map(_sentence, groups.values()))
 
 
@@ -698,12 +636,12 @@ def _sentence(group: Sequence[NextDwell]) -> str:
     first, places = group[0], list(dict.fromkeys(map(place, group)))
     what = join_words(places, comma="; " if any("," in words for words in places) else ", ")
     if first.purpose == "cover":
-        names = list(dict.fromkeys(name for m in group for name in (*m.one, *m.other)))
+        names = list(dict.fromkeys(name for m in group for names in m.separates for name in names))
         return f"measure at {what}: only then could {join_words(names)} be seen, if there"
     strongest = max(m.separation for m in group)
     figure = f"more than {PLAIN:.0f}" if strongest > PLAIN else f"about {strongest:.{int(strongest < 1)}f}"
     apart = f"expected difference {figure} standard uncertainties"
-    one, other = (join_words(names) for names in (first.one, first.other))
+    one, other = map(join_words, first.separates)
     shows, tells = ("shows", "tells") if strongest >= LEAST_SEPARATION else ("may show", "may tell")
     if not one or not other:
         return f"measure at {what}: that {shows} whether {one or other} is there ({apart})"

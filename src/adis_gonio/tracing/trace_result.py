@@ -159,7 +159,8 @@ Purpose = Literal["decide", "cover"]
 class NextDwell(JsonRecord):
     """A proposed dwell after the session, which separates two hypotheses about the model.
 
-    The JSON document is one entry of `measurements`.
+    The JSON document is one entry of `measurements`. A place that may be proposed has the defaults of the
+    fields from `separation` on.
 
     Attributes
     ----------
@@ -179,32 +180,22 @@ class NextDwell(JsonRecord):
     purpose : {"decide", "cover"}
         To decide which of the probable models is true, or to look for an effect that this session could
         not have shown.
-    one, other : tuple of str
-        Effects that only one of the two hypotheses contains; one of the two may be empty.
+    separates : tuple of 2 tuple of str
+        Effects that only the first of the two hypotheses contains, and effects of only the second; one of
+        the two may be empty.
     sentence : str
         The proposal in words.
     """
 
-    document_keys = (
-        *("angle_deg", "direction", "approach", "wait_s", "separation"),
-        *("information", "purpose", "separates", "sentence"),
-    )
-
     angle_deg: float | None
     direction: tuple[float, float, float] | None
-    approach: int
-    wait_s: float
-    separation: float
-    information: float
-    purpose: Purpose
-    one: tuple[str, ...]
-    other: tuple[str, ...]
+    approach: int = 0
+    wait_s: float = 0.0
+    separation: float = 0.0
+    information: float = 0.0
+    purpose: Purpose = "decide"
+    separates: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
     sentence: str = ""
-
-    @property
-    def separates(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Effects that only the first of the two hypotheses contains, and effects of only the second."""
-        return self.one, self.other
 
 
 class Stopped(JsonRecord):
