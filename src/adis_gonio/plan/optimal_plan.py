@@ -82,7 +82,7 @@ MEANING: dict[Best, str] = {
     "parameters": "geometric mean of the u along the axes of the parameters' covariance, in natural units",
     "tell-apart": "least separation of a typical effect from all others, in standard uncertainties",
 }
-"""Quantity that each criterion of a search describes, as the user sees it (`Criterion.figure`)."""
+"""Quantity that each criterion of a search describes, as the user sees it (`Candidates.figure`)."""
 Choice = NDArray[np.intp]
 """Plan as an array (n,): the index of a candidate position for each dwell."""
 _MEAN_WEIGHT = 0.01
@@ -109,83 +109,17 @@ SIMPLER = 1e-3
 
 
 @dataclass(frozen=True)
-class Criterion:
-    """A criterion that scores plans by their information matrices.
-
-    Attributes
-    ----------
-    name : {"angle", "parameters", "tell-apart"}
-        Quantity that a plan is scored by: the largest u of the angle over the turn, the geometric mean of
-        the u along the axes of the parameters' covariance, or the least separation of a typical effect from
-        all others, in standard uncertainties.
-    base : int
-        Number of parameters of the base model.
-    gradient : (m, base) float
-        Derivatives of the calibrated angle in degrees by the base parameters, at m angles of the turn.
-    precision : (p,) float
-        Inverse prior variance of each parameter.
-    """
-
-    name: Best
-    base: int
-    gradient: Floats
-    precision: Floats
-
-    def __call__(self, information: Floats) -> Floats:
-        """Return the scores (k,) of k plans by their information matrices (k, p, p); larger is better.
-
-        The matrices include the prior.
-        """
-        covariance = np.asarray(np.linalg.inv(information))
-        # Logarithms make the scores additive and independent of the units.
-        if self.name == "angle":
-            return np.asarray(-np.log(self._angle_variance(covariance)))
-        if self.name == "parameters":
-            own = covariance[:, : self.base, : self.base]
-            return np.asarray(-np.linalg.slogdet(own)[1] / self.base)
-        apart = np.log(self.separations(information) ** 2 + _NOTHING)
-        return np.asarray(apart.min(axis=1) + _MEAN_WEIGHT * apart.mean(axis=1))
-
-    def _angle_variance(self, covariance: Floats) -> Floats:
-        """Return the largest variance (k,) of the calibrated angle over the turn, in degrees².
-
-        The variance at an angle with the gradient g is gᵀ V g, with the covariance V of the base
-        parameters.
-        """
-        own = covariance[:, : self.base, : self.base]
-        return np.asarray(np.einsum("mp,kpq,mq->km", self.gradient, own, self.gradient).max(axis=1))
-
-    def separations(self, information: Floats) -> Floats:
-        """Return the typical size of each of q amplitudes divided by its standard uncertainty, (k, q).
-
-        `information` (k, p, p) are the information matrices of k plans, which include the prior.
-        """
-        # Diagonal of each covariance matrix, for the amplitudes.
-        variance = np.einsum("kpp->kp", np.linalg.inv(information))[:, self.base :]
-        return np.asarray(np.sqrt(np.maximum(1 / variance - self.precision[self.base :], 0.0)))
-
-    def figure(self, information: Floats) -> float:
-        """Return the quantity by which the criterion judges a plan, for people instead of as a score.
-
-        It is the largest u of the angle in degrees, the geometric mean of the u along the principal axes of
-        the covariance V of the b base parameters (in natural units, (det V)^(1/2b)), or the least number of
-        standard uncertainties by which an effect of typical size is detected. `information` (p, p) is the
-        plan's information matrix, which includes the prior.
-        """
-        stack = information[None]
-        if self.name == "angle":
-            return float(np.sqrt(self._angle_variance(np.asarray(np.linalg.inv(stack)))[0]))
-        if self.name == "parameters":
-            return float(np.exp(-0.5 * self(stack)[0]))
-        return float(self.separations(stack)[0].min())
-
-
-@dataclass(frozen=True)
 class Candidates:
     """Derivatives and noise of the readings for each of m candidate positions in each of n dwells.
 
+    Plans from these positions are scored by the criterion `best`, from their information matrices.
+
     Attributes
     ----------
+    best : {"angle", "parameters", "tell-apart"}
+        Quantity that a plan is scored by: the largest u of the angle over the turn, the geometric mean of
+        the u along the axes of the parameters' covariance, or the least separation of a typical effect from
+        all others, in standard uncertainties.
     angle_deg, approach : (m,) float
         Angle and side of approach of each candidate position; the side is 0 if no effect depends on it.
     columns : (n, m, 2, p) float
@@ -206,6 +140,7 @@ class Candidates:
         Names of the amplitudes of effects, the last of the p parameters.
     """
 
+    best: Best
     angle_deg: Floats
     approach: Floats
     columns: Floats
@@ -226,9 +161,41 @@ class Candidates:
         precision[: self.base] = 1 / _LOOSE**2
         return precision
 
-    def criterion(self, best: Best) -> Criterion:
-        """Return the criterion named `best` for plans from these candidate positions."""
-        return Criterion(best, self.base, self.gradient, self.precision)
+    def scores(self, information: Floats) -> Floats:
+        """Return the scores (k,) of k plans by their information matrices (k, p, p); larger is better.
+
+        The matrices include the prior. Logarithms make the scores additive and independent of the units.
+        """
+        if self.best == "tell-apart":
+            apart = np.log(self.separations(information) ** 2 + _NOTHING)
+            return np.asarray(apart.min(axis=1) + _MEAN_WEIGHT * apart.mean(axis=1))
+        covariance = np.linalg.inv(information)[:, : self.base, : self.base]
+        if self.best == "parameters":
+            return np.asarray(-np.linalg.slogdet(covariance)[1] / self.base)
+        # Variance gᵀ V g at each angle, with the gradient g: the largest of the turn.
+        variance = np.einsum("mp,kpq,mq->km", self.gradient, covariance, self.gradient).max(axis=1)
+        return np.asarray(-np.log(variance))
+
+    def separations(self, information: Floats) -> Floats:
+        """Return the typical size of each of q amplitudes divided by its standard uncertainty, (k, q).
+
+        `information` (k, p, p) are the information matrices of k plans, which include the prior.
+        """
+        # Diagonal of each covariance matrix, for the amplitudes.
+        variance = np.einsum("kpp->kp", np.linalg.inv(information))[:, self.base :]
+        return np.asarray(np.sqrt(np.maximum(1 / variance - self.precision[self.base :], 0.0)))
+
+    def figure(self, information: Floats) -> float:
+        """Return the quantity by which the criterion judges a plan, for people instead of as a score.
+
+        It is the largest u of the angle in degrees, the geometric mean of the u along the principal axes of
+        the covariance V of the b base parameters (in natural units, (det V)^(1/2b)), or the least number of
+        standard uncertainties by which an effect of typical size is detected. `information` (p, p) is the
+        plan's information matrix, which includes the prior.
+        """
+        if self.best == "tell-apart":
+            return float(self.separations(information[None]).min())
+        return float(np.exp(-0.5 * self.scores(information[None])[0]))
 
     def _covariance(self, choice: Choice) -> Floats:
         """Return the covariance (2 n, 2 n) in mg² of the readings of the plan `choice` with n dwells."""
@@ -296,10 +263,12 @@ class Candidates:
         return np.array(choice, dtype=np.intp)
 
 
-def candidates(bench: Bench, dwells: int, beware: Sequence[str], grid_deg: float) -> Candidates:
+def candidates(
+    bench: Bench, dwells: int, beware: Sequence[str], grid_deg: float, best: Best = "angle"
+) -> Candidates:
     """Return the candidate positions of a search: on a grid of angles and at even spacing.
 
-    The grid has steps of `grid_deg`; the plan has `dwells` positions.
+    The grid has steps of `grid_deg`; the plan has `dwells` positions and is scored by the criterion `best`.
 
     If an effect in `beware` depends on the side of approach, each angle is a candidate from both sides.
 
@@ -332,6 +301,7 @@ def candidates(bench: Bench, dwells: int, beware: Sequence[str], grid_deg: float
     white = float(readings.own_covariance[0, 0, 0] - flicker[0, 0])
     slow = np.zeros((2 * n, 1)) if readings.slow is None else readings.slow.reshape(2 * n, -1)
     return Candidates(
+        best=best,
         angle_deg=place,
         approach=side,
         columns=np.concatenate(columns, axis=2).reshape(dwells, m, 2, -1),
@@ -387,9 +357,7 @@ def _refuse_hidden(term: NamedTerm, base: Floats, columns: Floats) -> None:
         )
 
 
-def search(
-    ground: Candidates, criterion: Criterion, starts: Sequence[Choice], rng: np.random.Generator
-) -> SearchedPlan:
+def search(ground: Candidates, starts: Sequence[Choice], rng: np.random.Generator) -> SearchedPlan:
     """Return the plan with the highest score that a search reaches from several starting plans.
 
     Its positions are put in ascending or descending order if the score remains the same within `SIMPLER`.
@@ -401,7 +369,7 @@ def search(
     rng : numpy.random.Generator
         Generator for the order of the exchanges.
     """
-    highest = sorted((SearchedPlan(ground, criterion, one) for one in starts), key=lambda one: -one.score)
+    highest = sorted((SearchedPlan(ground, one) for one in starts), key=lambda one: -one.score)
     for one in highest[: max(_WORK // len(ground.columns), 1)]:
         one.improve(rng)
     best = max(highest, key=lambda one: one.score)
@@ -409,7 +377,7 @@ def search(
     order = np.lexsort((ground.approach[best.choice], ground.angle_deg[best.choice]))
     simple = best.choice[order]
     for choice in (simple, simple[::-1]):
-        one = SearchedPlan(ground, criterion, choice)
+        one = SearchedPlan(ground, choice)
         if one.score >= best.score - SIMPLER and not one.repeats(choice):
             return one
     return best
@@ -426,12 +394,12 @@ class SearchedPlan:
         Score of the plan by the criterion of the search.
     """
 
-    def __init__(self, ground: Candidates, criterion: Criterion, choice: Choice) -> None:
-        self._ground, self._criterion = ground, criterion
+    def __init__(self, ground: Candidates, choice: Choice) -> None:
+        self._ground = ground
         self.choice, self.score = choice.copy(), self._score(choice)
 
     def _score(self, choice: Choice) -> float:
-        return float(self._criterion(self._ground.information(choice)[None])[0])
+        return float(self._ground.scores(self._ground.information(choice)[None])[0])
 
     def repeats(self, choice: Choice) -> bool:
         """Return True if two consecutive dwells of a plan are at an equal angle."""
@@ -459,7 +427,7 @@ class SearchedPlan:
         angle = self._ground.angle_deg
         for dwell in rng.permutation(len(self.choice)).tolist():
             check()
-            scores = self._criterion(self._ground.exchanged(self.choice, dwell))
+            scores = self._ground.scores(self._ground.exchanged(self.choice, dwell))
             # Positions at the angle of the dwell before or after are not allowed.
             for near in (dwell - 1, dwell + 1):
                 if 0 <= near < len(self.choice):
@@ -604,21 +572,20 @@ def best_plan(
     if not LEAST_GRID_DEG <= grid_deg <= WIDEST_GRID_DEG:
         raise UsageError(f"grid is {grid_deg:g}°: take {LEAST_GRID_DEG:g} to {WIDEST_GRID_DEG:g}°")
     beware = tuple(dict.fromkeys(beware))
-    ground = candidates(bench, positions, beware, grid_deg)
-    criterion = ground.criterion(best)
+    ground = candidates(bench, positions, beware, grid_deg, best)
     rng = np.random.default_rng(seed)
-    choice = search(ground, criterion, _starts(ground, positions, rng), rng).choice
+    choice = search(ground, _starts(ground, positions, rng), rng).choice
     information = ground.information(choice)
     prediction = predict(ground.plan(f"{best}-{positions}", choice), bench)
-    figure = criterion.figure(information)
-    separations = criterion.separations(information[None])[0].tolist()
+    figure = ground.figure(information)
+    separations = ground.separations(information[None])[0].tolist()
     return BestPlan(
         prediction,
         best,
         beware,
         figure,
         dict(zip(ground.amplitudes, separations, strict=True)),
-        tuple(_gain(prediction, figure, other, ground, criterion) for other in _rivals(positions)),
+        tuple(_gain(prediction, figure, other, ground) for other in _rivals(positions)),
         seed,
         grid_deg,
     )
@@ -663,20 +630,20 @@ def _starts(ground: Candidates, positions: int, rng: np.random.Generator) -> lis
     return starts + [np.resize(one, positions).astype(np.intp) for one in drawn]
 
 
-def _gain(ours: Prediction, figure: float, other: Plan, ground: Candidates, criterion: Criterion) -> Gain:
+def _gain(ours: Prediction, figure: float, other: Plan, ground: Candidates) -> Gain:
     """Compare the best plan with another plan: ratio of the criterion and of each uncertainty.
 
     `ours` is the prediction for the best plan, and `figure` the quantity by which the criterion judges it
-    (`Criterion.figure`). This quantity of the other plan is computed at the nearest angles of the grid.
+    (`Candidates.figure`). This quantity of the other plan is computed at the nearest angles of the grid.
     """
-    theirs = criterion.figure(ground.information(ground.nearest(other)))
+    theirs = ground.figure(ground.information(ground.nearest(other)))
     reach = predict_uncertainty(other, ours.bench)
     pairs = {name: (value.u, ours.reach.parameters.get(name)) for name, value in reach.parameters.items()}
     # Only parameters that both plans determine have a ratio.
     ratios = {name: (u or 0.0) / one.u for name, (u, one) in pairs.items() if one is not None and one.u}
     ratios["angle_worst"] = (reach.angle_worst.u or 0.0) / (ours.reach.angle_worst.u or math.inf)
     ratios["angle_worst_by_parameters"] = reach.fitted_deg / ours.reach.fitted_deg
-    pair = (figure, theirs) if criterion.name == "tell-apart" else (theirs, figure)
+    pair = (figure, theirs) if ground.best == "tell-apart" else (theirs, figure)
     better = pair[0] / pair[1] if pair[1] > 0 else math.inf
     return Gain(other.name, theirs, better, ratios)
 
