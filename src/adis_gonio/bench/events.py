@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, dataclass_transform
 
-from adis_gonio.record.plans import Blindness, Plan, Position
+from adis_gonio.record.plans import Plan, Position
 
 Vector = tuple[float, float, float]
 
@@ -421,16 +421,13 @@ class ExtensionOffered(Event):
     ----------
     plan : Plan
         Extended plan; it begins with the present plan.
-    blindness : Blindness or None
-        Uncertainty from a bias that the present plan cannot determine; None if an advisor asks for more
-        positions.
     reasons : tuple of str
-        Reasons of the advisor, one sentence each.
+        Reasons for more positions, one sentence each: a bias that the present plan cannot determine, or the
+        reasons of the advisor.
     """
 
     plan: Plan
-    blindness: Blindness | None
-    reasons: tuple[str, ...] = ()
+    reasons: tuple[str, ...]
 
 
 class Advising(Event):

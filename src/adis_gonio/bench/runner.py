@@ -50,7 +50,7 @@ from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, StageCurve, checked_gravity_mps2
 from adis_gonio.record.archive import Archive
 from adis_gonio.record.archive_tables import Header
-from adis_gonio.record.plans import GYRO_TURNS, Plan, Position, blindness, extended, extension
+from adis_gonio.record.plans import GYRO_TURNS, Plan, Position, blindness, extension
 from adis_gonio.record.session_reader import FREE_TURN, read_session
 from adis_gonio.record.source import SampleSource, Settings, expected_each_s
 from adis_gonio.record.stillness import NoiseMeter
@@ -388,7 +388,11 @@ class SessionRunner(Operator):
         if longer is None or blind is None:
             return (yield from self._ask_advisor())
         wanted = self._extend or self._advisor is not None
-        return (yield from self._offer(ExtensionOffered(longer, blind), wanted))
+        reason = (
+            f"2 positions cannot see a bias: {typical_mg:g} mg on each axis would put"
+            f" {math.degrees(blind):.2f}° into Δφ and {blind:.4f} into ΔK; the opposite positions cancel it"
+        )
+        return (yield from self._offer(ExtensionOffered(longer, (reason,)), wanted))
 
     def _offer(self, offer: ExtensionOffered, wanted: bool) -> Generator[Event, None, Reply]:
         """Offer a longer plan and return the answer; an accepted plan is archived before the next position.
@@ -425,8 +429,8 @@ class SessionRunner(Operator):
         yield Advised(number, count, advice.ended, advice.summary)
         if not advice.positions:
             return Reply.STOP
-        longer = extended(ledger.plan, advice.positions)
-        return (yield from self._offer(ExtensionOffered(longer, None, advice.reasons), True))
+        longer = replace(ledger.plan, positions=(*ledger.plan.positions, *advice.positions))
+        return (yield from self._offer(ExtensionOffered(longer, advice.reasons), True))
 
     def _reachable(self, position: Position) -> bool:
         """Return True if the operator can place the sensor there, or with `auto` the program can."""

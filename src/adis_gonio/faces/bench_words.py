@@ -85,9 +85,10 @@ def reason_of(question: events.ExtensionOffered, planned: int) -> tuple[str, str
 
     `planned` is the number of positions in the present plan.
     """
-    reasons = question.reasons if question.blindness is None else (question.blindness.message,)
     where = ", ".join(str(position) for position in question.plan.positions[planned:])
-    return " ".join(f"{reason[:1].upper()}{reason[1:]}." for reason in reasons), f"Go on with {where}?"
+    return " ".join(
+        f"{reason[:1].upper()}{reason[1:]}." for reason in question.reasons
+    ), f"Go on with {where}?"
 
 
 def help_lines(*, hands: bool) -> list[str]:

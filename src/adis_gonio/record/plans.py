@@ -132,25 +132,10 @@ class Plan(JsonRecord):
         return cls(data["name"], tuple(positions), data["plane"], data.get("turns", 0))
 
 
-@dataclass(frozen=True)
-class _Kind:
-    """Numbers of positions that a built-in plan allows.
-
-    `default` is the usual number, `least` the smallest; `fixed` is True if only the default is allowed.
-    """
-
-    default: int
-    least: int
-    fixed: bool = False
-
-
-_KINDS: dict[str, _Kind] = {
-    "two-position": _Kind(2, 2, fixed=True),
-    "four-position": _Kind(4, 4, fixed=True),
-    "mmpm": _Kind(9, 9),
-    "tumble": _Kind(12, 3),
-    "poses": _Kind(14, 9),
-}
+_FIXED = {"two-position": 2, "four-position": 4}
+_KINDS = {name: (count, count) for name, count in _FIXED.items()}
+_KINDS |= {"mmpm": (9, 9), "tumble": (12, 3), "poses": (14, 9)}
+"""Usual and smallest number of positions of each built-in plan; plans in `_FIXED` allow no other number."""
 
 PLAN_NAMES: tuple[str, ...] = tuple(_KINDS)
 """Names of the built-in plans, which `plan` creates."""
@@ -175,50 +160,50 @@ def plan(name: str = DEFAULT_PLAN, positions: int | None = None, check: int = 0)
     UsageError
         There is no such plan, or it does not allow this number of positions.
     """
-    kind = _KINDS.get(name)
     if name == "free-turn":
         raise UsageError("a free turn has no positions: calibrate URL --plan free-turn records it")
     if name == GYRO_TURNS:
         raise UsageError("gyro turns have no positions: calibrate URL --plan gyro-turns --turns N")
-    if kind is None:
+    if name not in _KINDS:
         known = suggest(name, (*_KINDS, "free-turn", GYRO_TURNS, "or a plan file (.json)"))
         raise UsageError(f"no plan is called '{name}'; {known}")
-    count = kind.default if positions is None else positions
-    if kind.fixed and count != kind.default:
+    usual, least = _KINDS[name]
+    count = usual if positions is None else positions
+    if count != _FIXED.get(name, count):
         raise UsageError(
-            f"plan '{name}' has {counted(kind.default, 'position')}, not {count}; mmpm and tumble take any"
+            f"plan '{name}' has {counted(usual, 'position')}, not {count}; mmpm and tumble take any"
         )
-    if not kind.least <= count <= MOST_POSITIONS:
-        raise UsageError(f"plan '{name}' takes {kind.least} to {MOST_POSITIONS} positions, not {count}")
+    if not least <= count <= MOST_POSITIONS:
+        raise UsageError(f"plan '{name}' takes {least} to {MOST_POSITIONS} positions, not {count}")
     _refuse_checks(check)
     if name == "poses":
-        uses: list[Use] = ["fit"] * count
-        # Insert from the end, so that the earlier indices stay valid.
-        for k in reversed(range(check)):
-            uses.insert(math.ceil((k + 1) * count / (check + 1)), "check")
-        # Unit vectors spread evenly over the sphere, on a spiral with the golden angle.
-        golden, poses = math.pi * (3.0 - math.sqrt(5.0)), []
-        for k, use in enumerate(uses):
-            z = 1.0 - (2 * k + 1) / len(uses)
-            radius = math.sqrt(1.0 - z * z)
-            vector = (radius * math.cos(golden * k), radius * math.sin(golden * k), z)
-            poses.append(Position(None, 0, use, vector))
-        return Plan(name, tuple(poses), "none")
-    return Plan(name, _with_checks(_angles(name, count), check))
+        return Plan(name, _poses(count, check), "none")
+    if name == "two-position":
+        return Plan(name, _with_checks([Position(0.0), Position(90.0)], check))
+    turn = [Position(360.0 * k / count) for k in range(count)]
+    if name == "tumble":
+        turn += [replace(position, approach=-1) for position in reversed(turn)]
+    return Plan(name, _with_checks(turn, check))
+
+
+def _poses(count: int, check: int) -> tuple[Position, ...]:
+    """Return attitudes spread evenly over the sphere, on a spiral with the golden angle."""
+    uses: list[Use] = ["fit"] * count
+    # Insert from the end, so that the earlier indices stay valid.
+    for k in reversed(range(check)):
+        uses.insert(math.ceil((k + 1) * count / (check + 1)), "check")
+    golden, poses = math.pi * (3.0 - math.sqrt(5.0)), []
+    for k, use in enumerate(uses):
+        z = 1.0 - (2 * k + 1) / len(uses)
+        radius = math.sqrt(1.0 - z * z)
+        vector = (radius * math.cos(golden * k), radius * math.sin(golden * k), z)
+        poses.append(Position(None, 0, use, vector))
+    return tuple(poses)
 
 
 def _refuse_checks(check: int) -> None:
     if not 0 <= check <= MOST_POSITIONS:
         raise UsageError(f"a plan takes 0 to {MOST_POSITIONS} check positions, not {check}")
-
-
-def _angles(name: str, count: int) -> list[Position]:
-    if name == "two-position":
-        return [Position(0.0), Position(90.0)]
-    up = [Position(360.0 * k / count) for k in range(count)]
-    if name == "tumble":
-        return up + [replace(position, approach=-1) for position in reversed(up)]
-    return up
 
 
 def _with_checks(fit: list[Position], check: int) -> tuple[Position, ...]:
@@ -244,28 +229,8 @@ def _with_checks(fit: list[Position], check: int) -> tuple[Position, ...]:
     return tuple(result)
 
 
-@dataclass(frozen=True)
-class Blindness:
-    """Uncertainty of a plan's ΔK and Δφ from a bias that the plan cannot determine.
-
-    Attributes
-    ----------
-    bias_mg : float
-        Standard uncertainty of the bias of each axis, in mg.
-    delta_k_u, delta_phi_u_deg : float
-        Resulting standard uncertainties of ΔK (unit 1) and Δφ (degrees).
-    message : str
-        One sentence with these numbers and a remedy.
-    """
-
-    bias_mg: float
-    delta_k_u: float
-    delta_phi_u_deg: float
-    message: str
-
-
-def blindness(plan: Plan, bias_mg: float, gravity_mg: float = 1000.0) -> Blindness | None:
-    """Return the uncertainty of ΔK and Δφ from a bias that a plan cannot determine.
+def blindness(plan: Plan, bias_mg: float, gravity_mg: float = 1000.0) -> float | None:
+    """Return u of ΔK (unit 1), and of Δφ in rad, from a bias of each axis that a plan cannot determine.
 
     Returns None for plans that separate the bias: with three or more different angles, or with free
     attitudes.
@@ -287,15 +252,7 @@ def blindness(plan: Plan, bias_mg: float, gravity_mg: float = 1000.0) -> Blindne
     # Three separate angles separate the bias of an axis from its direction.
     if any(angle is None for angle in angles) or len(separate) >= 3:
         return None
-    relative = math.sqrt(2.0) * bias_mg / gravity_mg
-    degrees = math.degrees(relative)
-    return Blindness(
-        bias_mg,
-        relative,
-        degrees,
-        f"{counted(len(angles), 'position')} cannot see a bias: {bias_mg:g} mg on each axis would put"
-        f" {degrees:.2f}° into Δφ and {relative:.4f} into ΔK; the opposite positions cancel it",
-    )
+    return math.sqrt(2.0) * bias_mg / gravity_mg
 
 
 def describe_direction(direction: Sequence[float]) -> str:
@@ -305,11 +262,6 @@ def describe_direction(direction: Sequence[float]) -> str:
     """
     axes = [f"{'+' if part > 0 else '−'}{'xyz'[k]}" for k, part in enumerate(direction) if abs(part) > 0.3]
     return f"reads {' '.join(axes)}"
-
-
-def extended(plan: Plan, positions: Sequence[Position]) -> Plan:
-    """Return a copy of the plan with more positions at its end."""
-    return replace(plan, positions=(*plan.positions, *positions))
 
 
 def extension(plan: Plan, done: int) -> Plan | None:

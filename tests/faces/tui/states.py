@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from adis_gonio.bench import events
-from adis_gonio.record.plans import blindness, extension, plan
+from adis_gonio.record.plans import extension, plan
 
 PLAN = plan("tumble", 6)
 LIMIT = (7.9, 7.9, 7.9)
@@ -88,7 +88,11 @@ SHOCK = guard(
     "retake",
 )
 TWO = plan()
-EXTENSION = events.ExtensionOffered(extension(TWO, 2), blindness(TWO, 50.0))
+BLIND = (
+    "2 positions cannot see a bias: 50 mg on each axis would put 4.05° into Δφ and 0.0707 into ΔK; the"
+    " opposite positions cancel it"
+)
+EXTENSION = events.ExtensionOffered(extension(TWO, 2), (BLIND,))
 LONG = plan("mmpm", 36)
 POSES = plan("poses")
 
