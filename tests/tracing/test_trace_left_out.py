@@ -64,7 +64,7 @@ def test_the_average_holds_no_polynomial_where_a_process_bends_as_well() -> None
     members = [t for term in mixed for _, t, _ in term.members]
     assert members
     assert not any(t.basis.approximates and t.covariates == ("time",) for t in members)
-    assert any(t.shrinkage is not None for t in members)
+    assert any(t.prior_sd is not None for t in members)
 
 
 @pytest.mark.parametrize(

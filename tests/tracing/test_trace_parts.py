@@ -246,7 +246,7 @@ class TestProcesses:
         told = evidence(fit, beside, left, candidates, *inflation)
         for process, score in zip(candidates, told, strict=True):
             features = space.T @ fit.white(fit.candidate(process))
-            spread = noise * np.eye(len(features)) + (process.shrinkage or 0) ** 2 * features @ features.T
+            spread = noise * np.eye(len(features)) + (process.prior_sd or 0) ** 2 * features @ features.T
             y = space.T @ left
             ratio = stats.multivariate_normal(np.zeros(len(y)), spread).logpdf(y)
             ratio -= stats.multivariate_normal(np.zeros(len(y)), noise * np.eye(len(y))).logpdf(y)
@@ -340,7 +340,7 @@ class TestProcesses:
         assert len({(p.label, id(p.basis)) for p in every}) == len(every)
         for process in every:
             assert (process.axes == ()) == (process.where == "angle")
-        assert {round(float(p.shrinkage or 0) / U, 9) for p in every} == {2.0, 4.0, 8.0, 16.0}
+        assert {round(float(p.prior_sd or 0) / U, 9) for p in every} == {2.0, 4.0, 8.0, 16.0}
         weight = {which: 1.0 if len(which) == 1 else 0.3 for which in expected} | {("previous_angle",): 0.3}
         for process in every:
             which = process.covariates
@@ -943,7 +943,7 @@ class TestAverages:
             term = smooth[1]
             rng = np.random.default_rng(1000 + seed)
             features = term.columns(data.mean, data.conditions)
-            added = features @ rng.normal(0, term.shrinkage or 0.0, features.shape[-1])
+            added = features @ rng.normal(0, term.prior_sd or 0.0, features.shape[-1])
             check = np.isin(np.arange(32), rng.choice(np.arange(1, 31), 8, replace=False))
             for off_mg in refused:
                 moved = data.mean + added + np.outer(check, [off_mg, 0.0])
@@ -1082,7 +1082,7 @@ class TestAverages:
         told = averaging.solve_ridge(selection, unseen, target, [term])
         # The same as noise of the rows: generalised least squares of what is fixed.
         features = fit.white(fit.candidate(term))
-        prior = (term.shrinkage or 0) ** 2 / inflation
+        prior = (term.prior_sd or 0) ** 2 / inflation
         firm = np.linalg.inv(np.eye(48) + prior * features @ features.T)
         expected = np.linalg.inv(fixed.T @ firm @ fixed)
         base = expected @ fixed.T @ firm @ target

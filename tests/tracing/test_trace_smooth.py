@@ -72,7 +72,7 @@ def test_evidence_is_the_ratio_of_gaussian_densities(inflation: float) -> None:
     nothing = stats.multivariate_normal(cov=noise).logpdf(free.T @ target)
     for term, score in zip(some, scores, strict=True):
         white = free.T @ base.white(base.candidate(term))
-        cover = noise + term.shrinkage**2 * white @ white.T
+        cover = noise + term.prior_sd**2 * white @ white.T
         something = stats.multivariate_normal(cov=cover).logpdf(free.T @ target)
         assert score == pytest.approx(something - nothing - term.cost, abs=1e-6)
 
@@ -85,7 +85,7 @@ def test_refit_with_a_prior_is_ridge_regression_and_counts_the_freedom_it_uses()
     fit = base.with_terms((term,), (np.zeros(width),)).refit()
     columns, blocks, target = fit.linear()
     design = np.concatenate([columns, blocks[0]], axis=1)
-    precision = np.diag([0.0] * columns.shape[1] + [term.shrinkage**-2] * width)
+    precision = np.diag([0.0] * columns.shape[1] + [term.prior_sd**-2] * width)
     normal = design.T @ design + precision
     solved = np.linalg.solve(normal, design.T @ target)
     np.testing.assert_allclose(fit.values.terms[0], solved[columns.shape[1] :], atol=2e-3)

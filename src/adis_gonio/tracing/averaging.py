@@ -382,7 +382,7 @@ def solve_ridge(
     columns = np.concatenate([fixed, *blocks], axis=1)
     priors = [np.zeros(fixed.shape[1])]
     for term, block in zip(terms, blocks, strict=True):
-        held = np.sqrt(selection.inflation) / (term.shrinkage or nameless_spread(fit.data.model, term))
+        held = np.sqrt(selection.inflation) / (term.prior_sd or nameless_spread(fit.data.model, term))
         priors.append(np.full(block.shape[1], held))
     # Least squares with one prior row for each shrunk amplitude, columns scaled to unit length.
     precision = np.concatenate(priors)
@@ -395,7 +395,7 @@ def solve_ridge(
     solved = half @ (u[: len(target), keep].T @ target)
     added = columns[:, fixed.shape[1] :] @ solved[fixed.shape[1] :]
     visible = 1.0
-    if all(term.shrinkage is None for term in terms) and added.any():
+    if all(term.prior_sd is None for term in terms) and added.any():
         beside = orthonormal(fixed)
         left = added - beside @ (beside.T @ added)
         visible = float(np.linalg.norm(left) / np.linalg.norm(added))

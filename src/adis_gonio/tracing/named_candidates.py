@@ -103,7 +103,7 @@ def _shared(term: NamedTerm, data: Readings) -> list[NamedTerm]:
         )
         if constant and sharing.by == "session":
             sizes = SESSION_BIAS_MG * 3.0 ** np.arange(-4, 2)
-            found += [replace(split, label=f"{split.label}<{s:.2g}>", spread=float(s)) for s in sizes]
+            found += [replace(split, label=f"{split.label}<{s:.2g}>", prior_sd=float(s)) for s in sizes]
         else:
             found.append(split)
         own = sharing.by != "session" or constant or driven

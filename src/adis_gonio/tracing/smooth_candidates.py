@@ -44,7 +44,7 @@ def processes(data: Readings) -> list[NamelessTerm]:
     """Return all Gaussian processes to try in a session, as candidates for an unnamed function.
 
     There is one for each place in the model, covariate, length and amplitude. Its basis functions are the
-    kernel's features, and its attribute `shrinkage` is the amplitude of the process.
+    kernel's features, and its attribute `prior_sd` is the amplitude of the process.
     """
     reading_u = float(np.sqrt(data.variance_of_mean.mean()))
     subsets = choices_of_axes(range(data.axes))
@@ -69,7 +69,7 @@ def processes(data: Readings) -> list[NamelessTerm]:
             / len(AMPLITUDES)
         )
         label = f"{term.where}[{''.join('xyz'[k] for k in term.axes)}]~{term.basis.form} ({amplitude:g} u)"
-        out.append(replace(term, shrinkage=amplitude * reading_u, cost=-math.log(share), label=label))
+        out.append(replace(term, prior_sd=amplitude * reading_u, cost=-math.log(share), label=label))
     return out
 
 
@@ -106,9 +106,9 @@ def evidence(
             values, vectors = np.linalg.eigh(white.T @ white)
             spectra[key] = np.maximum(values, 0.0), (vectors.T @ (white.T @ target)) ** 2
         values, scores2 = spectra[key]
-        assert term.shrinkage is not None
+        assert term.prior_sd is not None
         # ½ Σ (s²/(1 + s²λ) · score² − ln(1 + s²λ)) over the eigenvalues λ.
-        prior = term.shrinkage**2 / inflation
+        prior = term.prior_sd**2 / inflation
         grown = 1 + prior * values
         scores[k] = 0.5 * float((prior * scores2 / inflation / grown - np.log(grown)).sum()) - term.cost
     return scores

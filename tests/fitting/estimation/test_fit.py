@@ -222,7 +222,7 @@ def test_what_has_no_name_is_held_to_a_tenth_of_gravity_and_of_a_radian() -> Non
 def test_a_shrunken_amplitude_uses_part_of_a_degree_of_freedom() -> None:
     data, _ = planar()
     for shrinkage in (0.3, 3.0, 1e4):
-        term = replace(DRIFT, shrinkage=shrinkage)
+        term = replace(DRIFT, prior_sd=shrinkage)
         fit = at(data, BASE).with_terms((term,), [np.array([1.0])])
         hat = fit.jacobian.T @ fit.jacobian
         prior = np.diag([0, *[1 / 0.2**2] * 3, 1 / shrinkage**2])

@@ -67,7 +67,7 @@ def test_an_angle_turns_the_part_by_thousandths_of_a_radian_an_amplitude() -> No
 
 
 def test_a_nameless_term_is_said_by_place_and_formula_and_keeps_its_amplitudes() -> None:
-    term = nameless("gain", (0, 2), LINE_AND_SQUARE, shrinkage=25.0)
+    term = nameless("gain", (0, 2), LINE_AND_SQUARE, prior_sd=25.0)
     assert term.shown_as == "unnamed: gain of x, z follows t, t²"
     assert nameless("angle", (), LINE_AND_SQUARE).shown_as == "unnamed: true angle follows t, t²"
     assert term.name is None
@@ -140,7 +140,7 @@ def test_a_shape_at_most_doubles_or_halves_in_a_step_and_all_stay_within_their_b
 def test_what_a_named_term_says_of_itself(warming: NamedTerm) -> None:
     assert warming.name == warming.shown_as == "warm_up"
     assert warming.prior_sd is None
-    assert NamedTerm("warm_up", (), 0.0, effect("warm_up", ("x",)), spread=3.0).prior_sd == 3.0
+    assert NamedTerm("warm_up", (), 0.0, effect("warm_up", ("x",)), prior_sd=3.0).prior_sd == 3.0
     assert not warming.enters_angle
     assert warming.dwell is None
     assert NamedTerm("slip", (), 0.0, effect("position_slip", ("x",), dwell=7)).dwell == 7

@@ -34,11 +34,18 @@ class Term(ABC):
         Covariates that the term depends on.
     cost : float
         Cost of choosing the term among all terms, in nats: −ln of its prior probability.
+    prior_sd : float or None
+        Prior standard deviation of each amplitude about zero; None without a prior. It is finite if the
+        functions of an unnamed term are features of a Gaussian process.
+    forced : bool
+        True if a search includes the term in every model; possible only for a `NamedTerm`.
     """
 
     label: str
     covariates: tuple[str, ...]
     cost: float
+    prior_sd: float | None = field(default=None, kw_only=True)
+    forced: bool = field(default=False, kw_only=True)
 
     @property
     def name(self) -> str | None:
@@ -59,16 +66,6 @@ class Term(ABC):
     def constant(self) -> bool:
         """True for an error of constant size in all readings of an axis, such as a bias."""
         return False
-
-    @property
-    def forced(self) -> bool:
-        """True for a term that a search has to include in every model; possible only for a `NamedTerm`."""
-        return False
-
-    @property
-    def prior_sd(self) -> float | None:
-        """Prior standard deviation of each value of the term, with mean zero; None without a prior."""
-        return None
 
     @property
     @abstractmethod
@@ -126,28 +123,22 @@ class NamedTerm(Term):
     shapes : tuple of (int, float)
         Index among the effect's parameters, and fixed value, of each shape parameter such as a time
         constant.
-    spread : float or None
-        Prior standard deviation of each amplitude about zero; None without a prior.
     begins : float
         Rough amplitude about which the linear problem is expanded; 0 if none is known.
-    forced : bool
-        True if the term is in every model of a search.
     """
 
     effect: Effect
     shapes: tuple[tuple[int, float], ...] = ()
-    spread: float | None = None
     begins: float = 0.0
-    forced: bool = False
 
     @classmethod
-    def offset(cls, axes: Sequence[str], spread: float | None = None) -> NamedTerm:
+    def offset(cls, axes: Sequence[str], prior_sd: float | None = None) -> NamedTerm:
         """Make the term of a constant offset of each of these axes.
 
-        `spread` is the prior standard deviation of each offset; None without a prior.
+        `prior_sd` is the prior standard deviation of each offset; None without a prior.
         """
         constant = constant_effect(axes)
-        return cls(constant.name, (), 0.0, constant, spread=spread)
+        return cls(constant.name, (), 0.0, constant, prior_sd=prior_sd)
 
     @property
     def name(self) -> str | None:
@@ -158,11 +149,6 @@ class NamedTerm(Term):
     def constant(self) -> bool:
         """True for an effect that the catalogue lists as constant, such as a bias."""
         return self.effect.prior == "constant"
-
-    @property
-    def prior_sd(self) -> float | None:
-        """Prior standard deviation of each amplitude about zero, in its unit; None without a prior."""
-        return self.spread
 
     @property
     def enters_angle(self) -> bool:
@@ -216,10 +202,10 @@ class NamedTerm(Term):
     def amplitude_spread(self) -> Floats:
         """Prior standard deviation (d,) of each amplitude.
 
-        It is `spread` or, without a spread, a quarter of the range of the amplitude in the catalogue.
+        It is `prior_sd` or, without a prior, a quarter of the range of the amplitude in the catalogue.
         """
-        if self.spread is not None:
-            return np.full(len(self.amplitudes), self.spread)
+        if self.prior_sd is not None:
+            return np.full(len(self.amplitudes), self.prior_sd)
         low, high = self.bounds[self.amplitudes].T
         return np.asarray((high - low) / 4)
 
@@ -346,9 +332,6 @@ class NamelessTerm(Term):
         Axes on which it acts, with separate amplitudes; empty for the angle.
     basis : Basis
         Basis functions of the term.
-    shrinkage : float or None
-        Prior standard deviation of each amplitude, if the functions are features of a Gaussian process;
-        otherwise None.
     tangent_rad : float
         Change of the angle in rad per unit of amplitude of a basis function, for a term of the angle.
     stimulus : callable
@@ -359,13 +342,7 @@ class NamelessTerm(Term):
     axes: tuple[int, ...]
     basis: Basis
     tangent_rad: float = field(default=1e-3, repr=False)
-    shrinkage: float | None = None
     stimulus: Callable[[Floats, Conditions], Floats] = field(default=in_g, repr=False, compare=False)
-
-    @property
-    def prior_sd(self) -> float | None:
-        """Prior standard deviation of each amplitude about zero; None without a prior."""
-        return self.shrinkage
 
     @property
     def enters_angle(self) -> bool:
