@@ -319,11 +319,9 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         at = 0 if single else slice(None)
         return Rates(value[at], np.sqrt(variance)[at])
 
-    def force_part(self, force_g: ArrayLike) -> tuple[Floats, Floats]:
-        """Return the zero rate (3,) in °/s that a force (3,) in g causes in each gyro, and its u (3,)."""
-        force = _spread("force_g", force_g, 1)
-        value, variance = self._with_variance(lambda values: _by_force(self.by_kind(values), force))
-        return value[0], np.sqrt(variance[0])
+    def force_part(self, force_g: ArrayLike) -> Floats:
+        """Return the zero rate (3,) in °/s that a force (3,) in g causes in each gyro."""
+        return np.asarray(_by_force(self.by_kind(self.values), _spread("force_g", force_g, 1))[0])
 
     def with_offsets(self, offsets_lsb: Sequence[int]) -> GyroCalibration:
         """Return the calibration for a chip with other numbers in the offset registers XGYRO_OFF ….

@@ -305,7 +305,7 @@ def test_an_autonull_that_agrees_in_this_pose_is_kept_and_counted(path, precise)
     found = outcome.autonull
     assert found.agrees
     # Force along X goes into the chip's null of Y, and is accounted for.
-    assert abs(made._part.by_force(made._before)[0][1]) > 0.15
+    assert abs(made._part.gyro.force_part(made._before.mean_mg / 1000)[1]) > 0.15
     assert np.abs(found.measured - found.expected).max() < 4 * found.u.max()
     assert (outcome.endurance_before, outcome.endurance_after) == (0, 1)
     assert gyro_numbers(bus) == gyro_flash(bus) != OLD
@@ -323,7 +323,7 @@ def test_without_the_g_sensitivity_the_same_null_would_be_refused(path, known):
     made = writer(bus, path)
     made.plan()
     found = made.autonull(precise=True).autonull
-    force = made._part.by_force(made._before)[0]
+    force = made._part.gyro.force_part(made._before.mean_mg / 1000)
     assert (np.abs(found.measured - found.expected + force) > 4 * found.u).any()
 
 

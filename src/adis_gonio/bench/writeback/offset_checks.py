@@ -552,7 +552,7 @@ class Gyros:
         # White noise of a mean falls with the root of its length; the dwell before gives its size.
         noise = rest.sample_dps if samples is None else rest.u_dps * np.sqrt(rest.samples / samples)
         u = np.sqrt(noise**2 + lsb**2 / 12 + u**2 + self.wander(rest) ** 2)
-        force = ", ".join(signed(each, 3) for each in self.by_force(rest)[0].tolist())
+        force = ", ".join(signed(each, 3) for each in self.gyro.force_part(rest.mean_mg / 1000))
         what = f"zero rates in this pose by the chip against the session ({force} °/s of it by force)"
         return Agreement(what, GYRO_NAMES, chip, zero, u, "dps")
 
@@ -565,13 +565,6 @@ class Gyros:
             np.zeros(3), rest.mean_mg / 1000, rest.temperatures_c, supply_v=rest.supply_v
         )
         return read.rate_dps, read.u_dps
-
-    def by_force(self, rest: Rest) -> tuple[Floats, Floats]:
-        """Return the part of the zero rates (3,) in °/s of a dwell that force causes, with its uncertainty.
-
-        The uncertainty is the standard uncertainty (3,) in °/s.
-        """
-        return self.gyro.force_part(rest.mean_mg / 1000)
 
     def wander(self, rest: Rest) -> float:
         """Return the standard uncertainty in °/s by which a zero rate may have changed since the session.

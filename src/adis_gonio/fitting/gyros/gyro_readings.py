@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import cached_property, partial
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -50,69 +50,8 @@ LEAST_FORCE_G = 0.02
 """Smallest change, in g, of a component of the force over the intervals at which its g-sensitivity is
 fitted: below it the effect cannot be separated from the zero rate."""
 
-
-@dataclass(frozen=True)
-class Interval:
-    """Mean rates of the gyros over one dwell or turn, and the true rotation of the sensor in it.
-
-    Attributes
-    ----------
-    mean_dps : (3,) float
-        Mean reading of the gyros, in °/s.
-    covariance_dps2 : (3, 3) float
-        Covariance of the mean by noise, quantization and lost scans, without 1/f noise.
-    dof : float
-        Degrees of freedom of that covariance.
-    begin_s, end_s : float
-        Begin and end on the clock of the session, with the filter's delay subtracted.
-    position : int
-        Number of the dwell, or of the dwell in which the turn ends.
-    force_g : (3,) float
-        Mean reading of the accelerometers in g; z is 0 without a Z accelerometer.
-    check : bool
-        True if the dwell, or a dwell next to the turn, takes no part in a fit.
-    samples : int
-        Number of samples.
-    temperature_c, supply_v : float
-        Mean temperature and supply voltage; NaN if not recorded.
-    temperatures_c : (3,) float
-        Temperatures of the three gyros' dies; NaN unless the file has all three.
-    turn : bool
-        True for a turn, False for a dwell.
-    rotation_dps : (3,) float
-        True mean rate of the sensor by gravity or the declared angle, right-handed in the accelerometers'
-        frame; 0 for a dwell.
-    rotation_covariance_dps2 : (3, 3) float
-        Covariance of `rotation_dps` that is independent in each turn; 0 for a dwell.
-    rotation_modes_dps : (3, k) float or None
-        Change of `rotation_dps` by one standard uncertainty of each of k errors of the accelerometers,
-        which all turns share (`turn_integration.Axes`); None without such errors.
-    abs_dps : (3,) float
-        Mean of |rate − zero rate| over a turn; 0 for a dwell.
-    """
-
-    mean_dps: Floats
-    covariance_dps2: Floats
-    dof: float
-    begin_s: float
-    end_s: float
-    position: int
-    force_g: Floats
-    check: bool
-    samples: int
-    temperature_c: float
-    supply_v: float
-    temperatures_c: Floats
-    turn: bool = False
-    rotation_dps: Floats = field(default_factory=partial(np.zeros, 3))
-    rotation_covariance_dps2: Floats = field(default_factory=partial(np.zeros, (3, 3)))
-    rotation_modes_dps: Floats | None = None
-    abs_dps: Floats = field(default_factory=partial(np.zeros, 3))
-
-    @property
-    def length_s(self) -> float:
-        """Duration in s."""
-        return self.end_s - self.begin_s
+Row = dict[str, Any]
+"""A dwell or turn: its values by the names in the notes of `RateIntervals`."""
 
 
 @dataclass(frozen=True)
@@ -121,24 +60,45 @@ class RateIntervals:
 
     Attributes
     ----------
-    rows : tuple of Interval
-        Dwells and turns.
+    rows : tuple of mapping
+        Dwells and turns, as mappings from the names in Notes to values.
     rests : GyroDwells
         Dwells of the session, with the noise of their gyros.
     refused : tuple of str
         Turns that are not used, with the reason.
     notes : tuple of str
         Remarks on the accelerometers as the reference.
+
+    Notes
+    -----
+    Each row has:
+
+    * `mean_dps` (3,), `covariance_dps2` (3, 3), `dof`: mean reading of the gyros, its covariance by noise,
+      quantization and lost scans (without 1/f noise), and the degrees of freedom of that covariance;
+    * `begin_s`, `end_s`, `length_s`: times on the clock of the session, with the filter's delay subtracted;
+    * `position`: number of the dwell, or of the dwell in which the turn ends;
+    * `force_g` (3,): mean reading of the accelerometers; z is 0 without a Z accelerometer;
+    * `check`: True if the dwell, or a dwell next to the turn, takes no part in a fit;
+    * `samples`: number of samples;
+    * `temperature_c`, `supply_v`, `temperatures_c` (3,): means over the interval, the last one of the three
+      gyros' dies; NaN if not recorded;
+    * `turn`: True for a turn, False for a dwell;
+    * `rotation_dps` (3,), `rotation_covariance_dps2` (3, 3): true mean rate of the sensor by gravity or the
+      declared angle, right-handed in the accelerometers' frame, and the part of its covariance that is
+      independent in each turn; 0 for a dwell;
+    * `rotation_modes_dps` (3, k): change of `rotation_dps` by one standard uncertainty of each of k errors
+      of the accelerometers, which all turns share (`turn_integration.Axes`); None without such errors;
+    * `abs_dps` (3,): mean of |rate − zero rate| over a turn; 0 for a dwell.
     """
 
-    rows: tuple[Interval, ...]
+    rows: tuple[Row, ...]
     rests: GyroDwells
     refused: tuple[str, ...]
     notes: tuple[str, ...]
 
     def column(self, name: str) -> NDArray[Any]:
-        """Return one attribute of all intervals, by its name, as an array (n, …)."""
-        return np.array([getattr(row, name) for row in self.rows])
+        """Return one value of all intervals, by its name, as an array (n, …)."""
+        return np.array([row[name] for row in self.rows])
 
 
 @dataclass(frozen=True)
@@ -288,19 +248,19 @@ def rate_intervals(session: Session, calibration: Calibration | None = None) -> 
         consecutive, whole = _consecutive(turns), any(turn.turned_deg is not None for turn in turns)
         for turn in turns:
             found = _interval_of_turn(session, turn, rests, triad, consecutive[turn.position])
-            if isinstance(found, Interval):
+            if not isinstance(found, str):
                 rows.append(found)
             elif turn.turned_deg is not None or not whole:
                 # Between whole turns a part may be laid down in any way: such turns need no message.
                 refused.setdefault(found, []).append(turn.position)
     return RateIntervals(
-        tuple(sorted(rows, key=lambda row: row.begin_s)),
+        tuple(sorted(rows, key=lambda row: row["begin_s"])),
         rests,
         tuple(
             f"turn{'s' if len(ends) > 1 else ''} to dwell {format_ranges(ends)}: {why}"
             for why, ends in refused.items()
         ),
-        () if triad is None or not any(row.turn for row in rows) else triad.notes,
+        () if triad is None or not any(row["turn"] for row in rows) else triad.notes,
     )
 
 
@@ -322,21 +282,20 @@ def _consecutive(turns: Sequence[Turn]) -> dict[int, int]:
     return consecutive
 
 
-def _surroundings(part: Dwell | Turn) -> dict[str, Any]:
+def _surroundings(part: Dwell | Turn) -> Row:
     """Return mean temperature, supply voltage and temperatures of the gyro dies, by name.
 
     They are means over a dwell or turn; NaN if not recorded.
     """
-    found: dict[str, Any] = {"temperatures_c": np.full(3, math.nan)}
-    for name in ("temperature_c", "supply_v"):
+    found = {}
+    for name, unknown in (("temperature_c", ()), ("supply_v", ()), ("temperatures_c", 3)):
         series = getattr(part, name)
-        found[name] = math.nan if series is None or not len(series) else float(np.mean(series))
-    if part.temperatures_c is not None and len(part.temperatures_c):
-        found["temperatures_c"] = part.temperatures_c.mean(axis=0)
+        recorded = series is not None and len(series)
+        found[name] = series.mean(axis=0) if recorded else np.full(unknown, math.nan)
     return found
 
 
-def _intervals_of_dwells(session: Session, rests: GyroDwells) -> list[Interval]:
+def _intervals_of_dwells(session: Session, rests: GyroDwells) -> list[Row]:
     steps = steps_of(rests.rows)
     if session.gyro_unit == "dps":
         configuration = session.facts.get("configuration") or {}
@@ -344,16 +303,22 @@ def _intervals_of_dwells(session: Session, rests: GyroDwells) -> list[Interval]:
         steps = np.full(3, lsb if session.sensor in VARIANTS else 0.0)
     rounding = quantization_variance(rests.rows, np.full(3, rests.scale), rests.scale * steps)
     return [
-        Interval(
+        dict(
             mean_dps=rests.mean_dps[k],
             covariance_dps2=rests.noise.covariance[k] + np.diag(rounding[k]),
             dof=float(rests.noise.dof[k]),
             begin_s=float(rests.spans_s[k, 0]),
             end_s=float(rests.spans_s[k, 1]),
+            length_s=float(np.ptp(rests.spans_s[k])),
             position=dwell.position,
             force_g=rests.force_g[k],
             check=dwell.use == "check",
             samples=len(dwell),
+            turn=False,
+            rotation_dps=np.zeros(3),
+            rotation_covariance_dps2=np.zeros((3, 3)),
+            rotation_modes_dps=None,
+            abs_dps=np.zeros(3),
             **_surroundings(dwell),
         )
         for k, dwell in enumerate(rests.dwells)
@@ -362,7 +327,7 @@ def _intervals_of_dwells(session: Session, rests: GyroDwells) -> list[Interval]:
 
 def _interval_of_turn(
     session: Session, turn: Turn, rests: GyroDwells, triad: turn_integration.Triad, consecutive: int
-) -> Interval | str:
+) -> Row | str:
     """Return the mean rates over a turn with its true rotation, or the reason as text why there is none.
 
     `consecutive` is the length of the series of declared turns to which the turn belongs (`_consecutive`).
@@ -391,12 +356,13 @@ def _interval_of_turn(
     if isinstance(found, str):
         return found
     length = integral.length_s
-    return Interval(
+    return dict(
         mean_dps=integral.angle_deg / length,
         covariance_dps2=integral.covariance_deg2 / length**2,
         dof=float(rests.noise.dof.max() if rests.noise.pooled else rests.noise.dof.sum()),
         begin_s=integral.begin_s,
         end_s=integral.end_s,
+        length_s=length,
         position=after.position,
         force_g=integral.force_g,
         check="check" in (before.use, after.use),
@@ -460,7 +426,7 @@ def readings_of_intervals(
     force, still = _changing_force(column("force_g"))
     # Modes (n, 3, k) of the 1/f noise and of errors of the accelerometers, which turns share.
     shared = [] if slow is None else [slow]
-    modes = [row.rotation_modes_dps for row in intervals.rows]
+    modes = [row["rotation_modes_dps"] for row in intervals.rows]
     if (first := next((one for one in modes if one is not None), None)) is not None:
         shared.append(np.array([np.zeros_like(first) if one is None else one for one in modes]))
     return Readings(
