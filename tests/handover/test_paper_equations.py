@@ -11,14 +11,13 @@ from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.handover import paper_study as through_chip
 from adis_gonio.handover.paper_study import (
     TABLE,
-    Part,
-    Results,
     crossing_deg,
     measured,
     propagated_errors,
     quantities,
     spread_of,
     true_values,
+    url_of,
     verdicts,
 )
 from handover import by_hand
@@ -26,7 +25,7 @@ from handover import by_hand
 
 @pytest.fixture(scope="module")
 def part():
-    return Part(41, "x")
+    return url_of(41, "x")
 
 
 MMPM_DEG = tuple(40.0 * k for k in range(9))
@@ -51,7 +50,7 @@ def test_table_1_is_what_the_theory_prints():
 
 @pytest.mark.parametrize(("column", "phi"), [("x", 0.0612), ("y", 0.0673)])
 def test_the_hidden_parameters_of_the_chips_world_are_the_measured_column(column, phi):
-    with open_sensor(Part(3, column).url) as sensor:
+    with open_sensor(url_of(3, column)) as sensor:
         hidden = sensor.bus.world.truth()
     assert hidden["scale_x"] == pytest.approx(1.0214)
     assert hidden["scale_y"] == pytest.approx(1.021)
@@ -108,19 +107,18 @@ def test_at_the_crossing_both_methods_have_one_error_of_delta_k():
         assert two == pytest.approx(nine)
 
 
-def handmade(paper_deg, ours_deg, seed=1):
+def handmade(paper_deg, ours_deg):
     true = true_values("x")["non_orthogonality"]
-    found = {
+    return {
         method: {"non_orthogonality": (true + error, 0.1)}
         for method, error in (("paper", paper_deg), ("ml", ours_deg))
         if error is not None
     }
-    return Results(Part(seed, "x"), found)
 
 
 def test_the_spread_is_of_the_sessions_that_a_method_answered():
     results = [handmade(0.6, 0.01), handmade(-0.8, 0.01), handmade(None, 0.5)]
-    spread = spread_of(results, "paper", "non_orthogonality")
+    spread = spread_of(results, "paper", "non_orthogonality", "x")
     assert spread.sessions == 2
     assert spread.error == pytest.approx(math.sqrt(0.5))
 
@@ -138,7 +136,7 @@ def test_a_method_that_refuses_a_session_has_no_result(monkeypatch):
         raise SingularError(f"method {method} is singular here")
 
     monkeypatch.setattr(through_chip, "fit", refusing)
-    monkeypatch.setattr(through_chip, "measured", lambda part, name: None)
-    results = through_chip.results_of(Part(1, "x"))
-    assert not results.found
-    assert spread_of([results], "paper", "delta_k").sessions == 0
+    monkeypatch.setattr(through_chip, "measured", lambda url, name: None)
+    results = through_chip.results_of(url_of(1, "x"))
+    assert not results
+    assert spread_of([results], "paper", "delta_k", "x").sessions == 0

@@ -143,42 +143,29 @@ TRACED = "traced"
 METHODS = (*USES, TRACED)
 
 
-@dataclass(frozen=True)
-class Part:
-    """A simulated sensor on its stage.
+def settings_of(column: Axis) -> dict[str, float]:
+    """Return the true parameters of the sensors of a column of the table, as settings of the simulator."""
+    true = true_values(column)
+    return {
+        "scale_y": 1 + true["scale_error_y"],
+        "delta_k": true["delta_k"],
+        "delta_phi_deg": true["non_orthogonality"],
+        "bias_x_mg": 1000 * true["offset_x"],
+        "bias_y_mg": 1000 * true["offset_y"],
+    }
 
-    Attributes
-    ----------
-    seed : int
-        Seed of the simulator: start angle within ±5°, noise and the stage's errors.
-    column : {"x", "y"}
-        Column of the table that has the true parameters of the sensor.
+
+def url_of(seed: int, column: Axis) -> str:
+    """Return the URL of a simulated sensor on its stage, with the true parameters of a column of the table.
+
+    `seed` decides the start angle within ±5°, the noise and the errors of the stage.
     """
-
-    seed: int
-    column: Axis
-
-    @property
-    def settings(self) -> dict[str, float]:
-        """True parameters of the sensor, as settings of the simulator."""
-        true = true_values(self.column)
-        return {
-            "scale_y": 1 + true["scale_error_y"],
-            "delta_k": true["delta_k"],
-            "delta_phi_deg": true["non_orthogonality"],
-            "bias_x_mg": 1000 * true["offset_x"],
-            "bias_y_mg": 1000 * true["offset_y"],
-        }
-
-    @property
-    def url(self) -> str:
-        """URL by which `open_sensor` opens the simulated sensor."""
-        return f"sim:?seed={self.seed}" + "".join(f"&{name}={v!r}" for name, v in self.settings.items())
+    return f"sim:?seed={seed}" + "".join(f"&{name}={v!r}" for name, v in settings_of(column).items())
 
 
-def measured(part: Part, plan_name: str) -> Session:
+def measured(url: str, plan_name: str) -> Session:
     """Record one session of a simulated sensor with the named plan, and return it."""
-    with tempfile.TemporaryDirectory() as folder, open_sensor(part.url) as sensor:
+    with tempfile.TemporaryDirectory() as folder, open_sensor(url) as sensor:
         world = sensor.bus.world  # type: ignore[attr-defined]  # the simulator's bus has one
         path = Path(folder) / "one.session"
         runner = SessionRunner.begin(
@@ -226,32 +213,20 @@ def quantities(result: FitResult | TraceResult) -> Quantities:
     return taken
 
 
-@dataclass(frozen=True)
-class Results:
-    """Results of every method for one simulated sensor.
-
-    Attributes
-    ----------
-    part : Part
-        The simulated sensor.
-    found : mapping of str to Quantities
-        Values and uncertainties by method.
-    """
-
-    part: Part
-    found: Mapping[str, Quantities]
+Results = Mapping[str, Quantities]
+"""Values and uncertainties by method for one simulated sensor; a method without a result is missing."""
 
 
-def results_of(part: Part, traced: bool = False) -> Results:
+def results_of(url: str, traced: bool = False) -> Results:
     """Record the sessions of one simulated sensor and apply every method; `traced` adds the trace."""
-    sessions = {name: measured(part, name) for name in set(USES.values())}
+    sessions = {name: measured(url, name) for name in set(USES.values())}
     found: dict[str, Quantities] = {}
     for method, used in USES.items():
         with suppress(FitError):
             found[method] = quantities(fit(sessions[used], method))
     if traced:
         found[TRACED] = quantities(trace(sessions["mmpm"]))
-    return Results(part, found)
+    return found
 
 
 COLUMNS = ("paper", "mmpm")
@@ -281,22 +256,21 @@ class MethodSpread:
     sessions: int = 0
 
 
-def spread_of(results: Sequence[Results], method: str, quantity: str) -> MethodSpread:
-    """Return the statistics of a quantity by one method, over the sessions.
+def spread_of(results: Sequence[Results], method: str, quantity: str, column: Axis) -> MethodSpread:
+    """Return the statistics of a quantity by one method, over the sessions of a column of the table.
 
     All fields but `sessions` are None if the method does not determine the quantity.
     """
-    rows = [(one.found[method][quantity], one.part.column) for one in results if method in one.found]
-    known = [(value, u, true_values(column)[quantity]) for (value, u), column in rows if value is not None]
-    if not known:
+    rows = [one[method][quantity] for one in results if method in one]
+    values = np.array([value for value, _ in rows if value is not None])
+    stated = np.array([u for value, u in rows if value is not None and u is not None])
+    if not values.size:
         return MethodSpread()
-    values, true = np.array([value for value, *_ in known]), np.array([true for *_, true in known])
-    stated = [u for _, u, _ in known if u is not None]
     return MethodSpread(
         float(values.mean()),
         float(values.std(ddof=1)) if len(values) > 1 else None,
-        rms(np.array(stated)) if stated else None,
-        rms(values - true),
+        rms(stated) if stated.size else None,
+        rms(values - true_values(column)[quantity]),
         len(values),
     )
 
@@ -373,9 +347,13 @@ class Study:
         """Command line that repeats this study with its seed."""
         return f"adis-gonio paper --seed {self.seed} --sessions {self.sessions}"
 
+    def spread(self, axis: Axis, method: str, quantity: str) -> MethodSpread:
+        """Return the statistics of a quantity by a method, over the sensors of the column `axis`."""
+        return spread_of(self.results[axis], method, quantity, axis)
+
     def ours(self, axis: Axis, quantity: str) -> dict[str, MethodSpread]:
         """Return the statistics of a quantity by each method, over the sensors of the column `axis`."""
-        return {method: spread_of(self.results[axis], method, quantity) for method in METHODS}
+        return {method: self.spread(axis, method, quantity) for method in METHODS}
 
     def as_dict(self) -> dict[str, Any]:
         """Return the JSON document that `adis-gonio paper --json` prints."""
@@ -389,7 +367,7 @@ class Study:
             "seed": self.seed,
             "sessions": self.sessions,
             "dwell_s": DWELL_S,
-            "truth": {f"column_{column}": Part(0, column).settings for column in AXES},
+            "truth": {f"column_{column}": settings_of(column) for column in AXES},
             "table_1": {
                 "rows": rows,
                 "delta_k": self.ours("x", "delta_k"),
@@ -428,7 +406,7 @@ def reproduce(seed: int = 0, sessions: int = SESSIONS) -> Study:
     rng = np.random.default_rng(stream)
     traced = max(1, sessions // TRACED_SHARE)
     work = [
-        (Part(int(part_seed), column), k < traced)
+        (url_of(int(part_seed), column), k < traced)
         for column in AXES
         for k, part_seed in enumerate(rng.integers(2**31, size=sessions))
     ]
@@ -461,9 +439,7 @@ def verdicts(done: Study) -> tuple[str, ...]:
     """Return sentences that state the results of the study."""
     nearer = sum(abs(row.paper - row.measured) < abs(row.mmpm - row.measured) for row in TABLE)
     angle = next(row for row in TABLE if row.key == "non_orthogonality")
-    theirs, nine = (
-        format_number(spread_of(done.results["x"], method, angle.quantity).error, 2) for method in COLUMNS
-    )
+    theirs, nine = (format_number(done.spread("x", method, angle.quantity).error, 2) for method in COLUMNS)
     return (
         f"For ΔK the paper's method overtakes MMPM from a fixture error of {crossing_deg(0, 0.16):.2g}°"
         f" without bias, and of {crossing_deg(10, 0.16):.2g}° with biases of 10 mg.",
@@ -481,7 +457,7 @@ def _table(done: Study) -> Section:
     for row in TABLE:
         texts = [row.label, format_fixed(row.measured, 4)]
         for method in COLUMNS:
-            one = spread_of(done.results[row.axis], method, row.quantity)
+            one = done.spread(row.axis, method, row.quantity)
             spread = f"{NO_BREAK}({format_fixed(one.spread or 0.0, 4)})"
             texts += [
                 format_fixed(getattr(row, method), 4),
@@ -513,7 +489,7 @@ def _figure_3(done: Study) -> Section:
     for name, printed, unit in dict.fromkeys((row.key, row.printed, row.unit) for row in TABLE):
         rows = [row for row in TABLE if row.key == name]
         at = [
-            (2.5 * k + place, row, method, spread_of(done.results[row.axis], method, row.quantity))
+            (2.5 * k + place, row, method, done.spread(row.axis, method, row.quantity))
             for k, row in enumerate(rows)
             for place, method in enumerate(COLUMNS)
         ]
