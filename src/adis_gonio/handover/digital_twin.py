@@ -7,22 +7,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, solvable
-from adis_gonio.base.errors import AdisGonioError, DataError
-from adis_gonio.calibrate.gyro_calibration import OTHER_PAIRS, PAIRS, GyroCalibration
+from adis_gonio.base.errors import DataError
 from adis_gonio.device.sensor.driver import Adis16354
-from adis_gonio.device.sensor.registers import ACCEL_OUT, GYRO_OUT, VARIANTS
+from adis_gonio.device.sensor.registers import ACCEL_OUT, VARIANTS
 from adis_gonio.device.sensor.settings import filter_weights, sample_period_s, smpl_prd_for
 from adis_gonio.fitting.allan.spectral_likelihood import overlapping
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, Unit, readings_of
 from adis_gonio.fitting.estimation.spectrum import noise_of_means
-from adis_gonio.fitting.estimation.terms import NamedTerm, Term
+from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, Parameter
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
 from adis_gonio.page.document import Figure, Role, Section, Series, Style, Table, plot
@@ -30,7 +28,6 @@ from adis_gonio.sim.bus import SimBus
 from adis_gonio.sim.noise import Flicker
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.world import World
-from adis_gonio.tracing.trace_calibrations import gyros_as_recorded
 from adis_gonio.tracing.trace_result import TraceResult
 
 
@@ -194,20 +191,9 @@ class LikeWorld(World):
         Seed of the noise and of random errors.
     offset_s : float
         Time of the simulation at which the session begins.
-    gyro : GyroCalibration or None
-        Calibration of the gyros for the offset registers of the session; None for gyros with random errors.
     """
 
-    def __init__(
-        self,
-        fit: Fit,
-        noise: SamplesNoise,
-        *,
-        sensor: str,
-        seed: int,
-        offset_s: float,
-        gyro: GyroCalibration | None = None,
-    ) -> None:
+    def __init__(self, fit: Fit, noise: SamplesNoise, *, sensor: str, seed: int, offset_s: float) -> None:
         data = self._data = fit.data
         self._offset_s = offset_s
         effects = [
@@ -218,7 +204,7 @@ class LikeWorld(World):
             for term, values in zip(fit.terms, fit.values.terms, strict=True)
         ]
         part = sensor if sensor in VARIANTS else "adis16354"
-        super().__init__(_settings(fit, gyro), part=part, seed=seed, effects=effects)
+        super().__init__(_settings(fit), part=part, seed=seed, effects=effects)
         # Axes without samples get the mean noise; the gyros have the noise of the variant.
         self._white_sd[:3] = noise.white_mg.mean()
         self._white_sd[: data.axes] = noise.white_mg
@@ -247,44 +233,7 @@ class LikeWorld(World):
         return np.interp(time_s - self._offset_s, conditions.time_s, conditions.supply_v)
 
 
-_GYRO_SETTINGS = (
-    ("gyro_bias_{}_dps", "gyro_bias_{}", AXES, 0.0),
-    ("gyro_bias_tempco_{}_dps_per_c", "gyro_bias_temperature_{}", AXES, 0.0),
-    ("gyro_scale_{}", "gyro_scale_{}", AXES, 1.0),
-    ("gyro_scale_tempco_{}_ppm_per_c", "gyro_scale_temperature_{}", AXES, 0.0),
-    ("gyro_supply_{}_dps_per_v", "gyro_supply_{}", AXES, 0.0),
-    ("gyro_g_sensitivity_{}_dps_per_g", "g_sensitivity_{}", PAIRS, 0.0),
-    ("gyro_g2_sensitivity_{}_dps_per_g2", "g2_sensitivity_{}", PAIRS, 0.0),
-    ("gyro_misalignment_{}_deg", "gyro_misalignment_{}", OTHER_PAIRS, 0.0),
-)
-"""Setting of a simulation and parameter of a calibration, their axes, and the nominal value."""
-
-
-def gyro_settings(gyro: GyroCalibration, accel_bias_mg: Floats) -> dict[str, float]:
-    """Return settings of a simulation for the gyro errors of a calibration; unknown errors are nominal.
-
-    The gyros of the simulation respond to ideal readings of acceleration, the gyros of a calibration to the
-    part's readings. The zero rates therefore include the effect of the accelerometers' bias (3,).
-    """
-    known = {one.name: one.value for one in gyro.with_force_moved(-accel_bias_mg / 1000).parameters}
-    return {
-        setting.format(axes): known.get(parameter.format(axes), nominal)
-        for setting, parameter, places, nominal in _GYRO_SETTINGS
-        for axes in places
-    }
-
-
-def _accel_bias_mg(fit: Fit) -> Floats:
-    """Return the biases (3,) of the accelerometers in mg by the traced model."""
-    found = np.zeros(3)
-    for term, values in zip(fit.terms, fit.values.terms, strict=True):
-        if isinstance(term, NamedTerm) and term.constant:
-            for one, value in zip(term.effect.parameters, values, strict=True):
-                found[AXES.index(one.name[-1])] += value
-    return found
-
-
-def _settings(fit: Fit, gyro: GyroCalibration | None = None) -> WorldSettings:
+def _settings(fit: Fit) -> WorldSettings:
     data = fit.data
     by_axis = ("bias_{}_mg", "bias_tempco_{}_mg_per_c", "scale_tempco_{}_ppm_per_c")
     absent = ("vibration_mg", "axis_tilt_deg", "backlash_deg", "alpha_deg", "skew_xz_deg", "skew_yz_deg")
@@ -301,8 +250,7 @@ def _settings(fit: Fit, gyro: GyroCalibration | None = None) -> WorldSettings:
     own["delta_k"] = own.pop("scale_x") / own["scale_y"] - 1
     if "skew_xy_deg" in own:
         own["delta_phi_deg"] = own.pop("skew_xy_deg")
-    gyros = {} if gyro is None else gyro_settings(gyro, _accel_bias_mg(fit))
-    return WorldSettings(**{**common, **own, **gyros})
+    return WorldSettings(**{**common, **own})
 
 
 _OPENING_S = 5.0
@@ -314,7 +262,7 @@ _REGISTERS = (*ACCEL_OUT, "XTEMP_OUT", "SUPPLY_OUT")
 
 @solvable
 def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
-    """Return a session simulated by a traced model, with gyros if the measured session calibrates them.
+    """Return a session of accelerometers simulated by a traced model.
 
     The sensor is read through the driver, frame by frame. If the times of the measured session leave too
     little time for a move of the stage, the later dwells of the simulated session are delayed by the
@@ -339,11 +287,7 @@ def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
     data = readings_of(session)
     fit = traced.on(data)
     noise = noise_of(session, data.unit)
-    gyro = None
-    with suppress(AdisGonioError):  # a session need not determine the gyros
-        gyro = gyros_as_recorded(session)
-    names = _REGISTERS if gyro is None else (*_REGISTERS, *GYRO_OUT)
-    world = LikeWorld(fit, noise, sensor=session.sensor, seed=seed, offset_s=_OPENING_S, gyro=gyro)
+    world = LikeWorld(fit, noise, sensor=session.sensor, seed=seed, offset_s=_OPENING_S)
     bus = SimBus(world=world, stream=True)
     begin_s = float(session.dwells[0].time_s[0])
     period_s = sample_period_s(noise.smpl_prd)
@@ -363,13 +307,13 @@ def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
             bus.sleep_s(max(start_s - bus.now_s(), settle_s, 0.5))
             length_s = float(dwell.time_s[-1] - dwell.time_s[0])
             count = max(2, round(length_s / period_s) + 1)
-            block = sensor.read_scans(count, names, block_scans=_BLOCK_SCANS)
+            block = sensor.read_scans(count, _REGISTERS, block_scans=_BLOCK_SCANS)
             dwells.append(
                 replace(
                     dwell,
                     time_s=block.time_s - _OPENING_S + begin_s,
                     accel=block.numbers()[:, : dwell.accel.shape[1]].astype(np.float64),
-                    gyro=None if gyro is None else block.gyro_dps,
+                    gyro=None,
                     temperature_c=block.temperature_c if dwell.temperature_c is not None else None,
                     supply_v=block.supply_v if dwell.supply_v is not None else None,
                     first_row=None,
@@ -380,7 +324,6 @@ def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
         dwells=tuple(dwells),
         sensor=world.variant.name,
         accel_unit="lsb",
-        gyro_unit="dps",
         title=f"twin of {session.title or session.source}",
         source="",
         notes=(),
