@@ -13,19 +13,19 @@ If offsets and prediction differ by more than both uncertainties allow, one of t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import field, replace
+from abc import abstractmethod
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, central_differences
 from adis_gonio.base.errors import FitError, SessionError, UsageError
-from adis_gonio.base.jsonable import NAMED_BY_UNIT, OPTIONAL, JsonRecord
+from adis_gonio.base.jsonable import NAMED_BY_UNIT, JsonRecord
 from adis_gonio.base.numbers import format_fixed, signed
 from adis_gonio.bench.writeback.offset_plan import BIASES, UNITS, WritePlan, plan_gyro_offsets, plan_offsets
+from adis_gonio.calibrate.calibration import STEP, independent_changes
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.device.sensor.registers import (
     ACCEL_OFF,
@@ -34,6 +34,7 @@ from adis_gonio.device.sensor.registers import (
     GYRO_OUT,
     TEMP_OUT,
     Kind,
+    Performance,
     variant,
 )
 from adis_gonio.device.sensor.scanning import ScanStream
@@ -41,7 +42,7 @@ from adis_gonio.device.sensor.settings import Configuration, ScanBlock, join, wh
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.gyros.gyro_fit import GyroFit, fit_gyro
 from adis_gonio.model.effects.base import AXES
-from adis_gonio.model.measurement import FreeAttitude, PlanarTurn
+from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn
 from adis_gonio.model.records import Session
 from adis_gonio.record.source import LEAST_SAMPLES
 from adis_gonio.record.stillness import NoiseMeter, StillnessWatch, limits_from_noise, window_samples
@@ -54,7 +55,12 @@ if TYPE_CHECKING:
 REGISTERS = (*ACCEL_OUT, "XTEMP_OUT", "SUPPLY_OUT")
 
 
-class Rest(JsonRecord):
+def _not_read() -> Floats:
+    return np.full(3, np.nan)
+
+
+@dataclass(frozen=True)
+class Rest:
     """Mean readings of the sensor over a dwell at rest.
 
     Attributes
@@ -65,32 +71,23 @@ class Rest(JsonRecord):
         Mean temperature of the X gyro's die (°C) and mean supply (V).
     samples : int
         Number of samples.
-    mean_dps, u_dps : (3,) float or None
-        Mean rates in °/s and their standard uncertainties; None if the gyros were not read.
-    sample_dps : (3,) float or None
-        Standard deviation of one sample of the gyros in °/s; None if they were not read.
-    temperatures_c : (3,) float or None
-        Temperatures of the gyros' dies in °C; None if the gyros were not read.
+    mean_dps, u_dps : (3,) float
+        Mean rates in °/s and their standard uncertainties; NaN if the gyros were not read.
+    sample_dps : (3,) float
+        Standard deviation of one sample of the gyros in °/s; NaN if they were not read.
+    temperatures_c : (3,) float
+        Temperatures of the gyros' dies in °C; NaN if the gyros were not read.
     """
-
-    document_keys = ("mean_mg", "u_mg", "temperature_c", "supply_v", "samples", "mean_dps", "u_dps")
 
     mean_mg: Floats
     u_mg: Floats
     temperature_c: float
     supply_v: float
     samples: int
-    mean_dps: Floats | None = field(default=None, metadata=OPTIONAL)
-    u_dps: Floats | None = field(default=None, metadata=OPTIONAL)
-    sample_dps: Floats | None = None
-    temperatures_c: Floats | None = None
-
-    @property
-    def of_gyros(self) -> tuple[Floats, Floats]:
-        """Mean rates (3,) in °/s and their standard uncertainties; `UsageError` if no gyros were read."""
-        if self.mean_dps is None or self.u_dps is None:
-            raise UsageError("the dwell has no gyros")
-        return self.mean_dps, self.u_dps
+    mean_dps: Floats = field(default_factory=_not_read)
+    u_dps: Floats = field(default_factory=_not_read)
+    sample_dps: Floats = field(default_factory=_not_read)
+    temperatures_c: Floats = field(default_factory=_not_read)
 
 
 def measure(sensor: Adis16354, dwell_s: float, patience_s: float, *, gyros: bool = False) -> Rest:
@@ -128,7 +125,16 @@ def measure(sensor: Adis16354, dwell_s: float, patience_s: float, *, gyros: bool
     with sensor.stream(names, block_scans=block, leave_registers=True, data_ready=False) as stream:
         noise = _noise(sensor, stream, now, patience_s)
         scans = _dwell(sensor, stream, noise, window, dwell_s)
-    return _means(scans, now)
+    part = sensor.variant
+    mean, u, _ = _mean(scans.accel_mg, part.accel_mg_per_lsb, now)
+    warm = float(scans.column("XTEMP_OUT").mean())
+    rest = Rest(mean, u, warm, float(scans.supply_v.mean()), len(scans))
+    if not gyros:
+        return rest
+    lsb = part.lsb(Kind.GYRO, now.gyro_range_dps or 300)[0]
+    mean, u, sample = _mean(scans.gyro_dps, lsb, now)
+    dies = scans.select(TEMP_OUT).values().mean(axis=0)
+    return replace(rest, mean_dps=mean, u_dps=u, sample_dps=sample, temperatures_c=dies)
 
 
 def _noise(sensor: Adis16354, stream: ScanStream, now: Configuration, patience_s: float) -> Floats:
@@ -166,20 +172,6 @@ def _dwell(sensor: Adis16354, stream: ScanStream, noise: Floats, window: int, dw
         if enough and sensor.bus.now_s() - begin_s >= dwell_s:
             break
     return join(blocks)
-
-
-def _means(scans: ScanBlock, now: Configuration) -> Rest:
-    values = scans.values()
-    part, k = variant(scans.variant), len(AXES)
-    mean, u, _ = _mean(values[:, :k], part.accel_mg_per_lsb, now)
-    rest = Rest(mean, u, float(values[:, k].mean()), float(values[:, k + 1].mean()), len(scans))
-    if len(scans.registers) == len(REGISTERS):
-        return rest
-    first = len(REGISTERS)
-    lsb = part.lsb(Kind.GYRO, scans.gyro_range_dps or 300)[0]
-    mean, u, sample = _mean(values[:, first : first + k], lsb, now)
-    dies = np.array([rest.temperature_c, *values[:, first + k :].mean(axis=0)])
-    return replace(rest, mean_dps=mean, u_dps=u, sample_dps=sample, temperatures_c=dies)
 
 
 def _mean(values: Floats, lsb: float, now: Configuration) -> tuple[Floats, Floats, Floats]:
@@ -254,148 +246,6 @@ class Agreement(JsonRecord):
         return f"{self.what}: {'; '.join(figures)}"
 
 
-class _FittedSensor:
-    """Predicts readings of the sensor from the fit of a session, with the uncertainty of fit and dwell.
-
-    Parameters
-    ----------
-    session, result : Session, FitResult
-        The session and its fit.
-    plan : WritePlan
-        Plan with the present offsets that the prediction takes into account.
-    rest : Rest
-        Dwell with which the predictions are compared.
-
-    Raises
-    ------
-    FitError
-        The fit lacks a gain or all uncertainties.
-    """
-
-    def __init__(self, session: Session, result: FitResult, plan: WritePlan, rest: Rest) -> None:
-        self.session, self.result, self.rest = session, result, rest
-        planar = session.plane == "xy"
-        self.model = PlanarTurn(session.gravity_mg) if planar else FreeAttitude(session.gravity_mg)
-        axes = AXES[: self.model.axes]
-        names = [*self.model.names, *(f"bias_{axis}" for axis in axes)]
-        # Skews and biases that a session did not show are zero in its fit.
-        self.known = [name for name in names if name in result]
-        missing = [name for name in names if name.startswith("scale") and name not in result]
-        if missing or result.covariance is None:
-            raise FitError(
-                f"{session.source}: the fit does not give {', '.join(missing) or 'uncertainties'}"
-            )
-        self.values = np.array([result[name].value for name in self.known])
-        order = [[e.name for e in result.parameters].index(name) for name in self.known]
-        self.covariance = np.asarray(result.covariance)[np.ix_(order, order)]
-        moved = {axis.axis: (axis.now - axis.recorded) * axis.lsb for axis in plan.axes}
-        self.moved_mg = np.array([moved.get(axis, 0.0) for axis in axes])
-        # Standard uncertainty (axes,) of the dwell as a sample of the sensor that the session saw.
-        then = [float(d.temperature_c.mean()) for d in session.dwells if d.temperature_c is not None]
-        warmer = rest.temperature_c - float(np.mean(then)) if then else 0.0
-        figures = variant(plan.variant).performance
-        self.u_mg = np.hypot(
-            rest.u_mg[: len(axes)],
-            math.hypot(
-                math.sqrt(2) * figures.bias_instability_mg,
-                figures.bias_tempco_mg_per_c * warmer,
-                result.extra_mg,
-            ),
-        )
-
-    def at_angle(self, angle_rad: float) -> Agreement:
-        """Compare the dwell's readings at a declared angle with the readings that the fit predicts."""
-
-        def left(values: Floats, mean: Floats) -> Floats:
-            return np.asarray(mean[:2] - self._ideal_mg(values, angle_rad) - self._bias_mg(values))
-
-        # An angle that is set again: a few positions cannot estimate its uncertainty, and a vernier cannot
-        # be read better than 0.05°.
-        more = 0.05 if self.session.fixture_sigma_deg is None else 0.0
-        sigma = math.radians(math.hypot(self.result.fixture_sigma_deg or 0.0, more))
-        tangent = self.model.tangent(self._base(self.values), np.zeros(1), np.array([-angle_rad]))
-        value, u = self._propagated(left, sigma * np.abs(tangent[0, :, 0]))
-        predicted = self._ideal_mg(self.values, angle_rad) + self._bias_mg(self.values)
-        where = f"readings at {math.degrees(angle_rad):g}° against the session"
-        return Agreement(where, ("X", "Y"), predicted + value, predicted, u)
-
-    def by_length(self) -> Agreement:
-        """Compare the magnitude of gravity, by the session's calibration, with local gravity.
-
-        Raises
-        ------
-        FitError
-            The sensor is not in the session's plane.
-        """
-        gravity = self.session.gravity_mg
-
-        def length(values: Floats, mean: Floats) -> Floats:
-            free = (mean[: self.model.axes] - self._bias_mg(values))[None, :]
-            calibrated = self.model.calibrated(self._base(values), free)
-            return np.asarray(gravity * np.linalg.norm(calibrated, axis=1))
-
-        value, u = self._propagated(length, np.zeros(1))
-        if value[0] < 0.5 * gravity:
-            raise FitError(
-                f"X and Y read {value[0]:.0f} mg of gravity together: set the part up as in the"
-                " session, its plane of rotation vertical"
-            )
-        what = "gravity's length by the session's calibration"
-        return Agreement(what, ("|g|",), value, np.array([gravity]), u)
-
-    def _base(self, values: Floats) -> Floats:
-        """Convert values of the fitted parameters to the parameters of the model.
-
-        The result is in natural units (rad for angles, 1 for gains). Parameters that were not fitted have
-        their nominal value.
-        """
-        held = dict(zip(self.known, values, strict=True))
-        return np.array(
-            [held[p.name] / p.per_natural if p.name in held else p.nominal for p in self.model.parameters]
-        )
-
-    def _bias_mg(self, values: Floats) -> Floats:
-        """Return the biases (axes,) in mg with the present numbers in the offset registers.
-
-        `values` has a value for each fitted parameter of the model.
-        """
-        held = dict(zip(self.known, values, strict=True))
-        found = [held.get(name, 0.0) for name in BIASES[: self.model.axes]]
-        return np.asarray(np.array(found) + self.moved_mg)
-
-    def _ideal_mg(self, values: Floats, angle_rad: float) -> Floats:
-        """Return the readings (2,) in mg by gravity alone, without bias, at a declared angle.
-
-        `values` has a value for each fitted parameter of the model.
-        """
-        return np.asarray(self.model.ideal(self._base(values), np.zeros(1), np.array([-angle_rad]))[0])
-
-    def _propagated(
-        self, function: Callable[[Floats, Floats], Floats], more_u: Floats
-    ) -> tuple[Floats, Floats]:
-        """Return the value (k,) of a function, and its standard uncertainty.
-
-        The uncertainty comes from the fit, the dwell and the declared angle. `function` takes the values of
-        the fitted parameters and the mean reading of the dwell. `more_u` (k,) is the standard uncertainty
-        from the declared angle alone.
-        """
-        mean = self.rest.mean_mg
-        by_parameter = _slopes(lambda v: function(v, mean), self.values)
-        by_reading = _slopes(lambda m: function(self.values, m), mean[: self.model.axes])
-        # Variances from the parameters, from the reading, and from the declared angle.
-        variance = np.einsum("kp,pq,kq->k", by_parameter, self.covariance, by_parameter)
-        variance = variance + (by_reading**2) @ self.u_mg**2 + more_u**2
-        return function(self.values, mean), np.sqrt(variance)
-
-
-def _slopes(function: Callable[[Floats], Floats], at: Floats) -> Floats:
-    """Return the derivatives ∂f/∂x (k, p) of a function at a point by central differences.
-
-    All functions here are smooth over the step of 1e-4.
-    """
-    return central_differences(function, at, 1e-4 * np.maximum(1.0, np.abs(at)))
-
-
 PRECISE_S = 30.0
 """Averaging time of a precision autonull in s (data sheet, A: about 30 s)."""
 
@@ -405,7 +255,52 @@ TEMPCO_DPS_PER_C = 0.02
 """Assumed temperature coefficient of a zero rate in °/s/°C if the session does not determine it (D)."""
 
 
-class Accelerometers:
+class _Half:
+    """One half of the sensor, accelerometers or gyros: plans and checks its offsets.
+
+    Attributes
+    ----------
+    registers, others : tuple of str
+        Offset registers of this half and of the other half.
+    moved, unit : str
+        Beginning of the message on the effect of a write, and unit of the outputs: `mg` or `dps`.
+    figures : Performance
+        Figures of the sensor's variant.
+    """
+
+    registers: tuple[str, ...]
+    others: tuple[str, ...]
+    moved: str
+    unit: str
+    figures: Performance
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self.figures = variant(session.sensor).performance
+
+    @abstractmethod
+    def outputs(self, rest: Rest) -> tuple[Floats, Floats]:
+        """Return the mean outputs (3,) of a dwell, and their standard uncertainties."""
+
+    @abstractmethod
+    def wander(self, warmer_c: float, volts: float) -> float:
+        """Return the standard uncertainty by which an output wanders between two dwells.
+
+        The second dwell is warmer by `warmer_c` and has a supply higher by `volts`.
+        """
+
+    def effect(self, plan: WritePlan, before: Rest, after: Rest) -> Agreement:
+        """Compare the change of the outputs by the write, between two dwells, with the planned change."""
+        (first, u_first), (second, u_second) = self.outputs(before), self.outputs(after)
+        wander = self.wander(after.temperature_c - before.temperature_c, after.supply_v - before.supply_v)
+        rows = [AXES.index(axis.axis) for axis in plan.axes]
+        u = np.sqrt(u_first**2 + u_second**2 + wander**2)[rows]
+        names = tuple(axis.axis.upper() for axis in plan.axes)
+        planned = np.array([axis.effect for axis in plan.axes])
+        return Agreement(self.moved, names, (second - first)[rows], planned, u, self.unit)
+
+
+class Accelerometers(_Half):
     """Checks and plans the offsets of a session's accelerometers.
 
     Parameters
@@ -419,10 +314,12 @@ class Accelerometers:
     """
 
     registers, others = ACCEL_OFF, GYRO_OFF
+    moved, unit = "the write moved the outputs by", "mg"
     remarks: tuple[str, ...] = ()
 
     def __init__(self, session: Session, method: str | None, angle_deg: float | None) -> None:
-        self.session, self._method, self.angle_deg = session, method, angle_deg
+        super().__init__(session)
+        self._method, self.angle_deg = method, angle_deg
 
     @cached_property
     def result(self) -> FitResult:
@@ -443,36 +340,105 @@ class Accelerometers:
         FitError
             The fit lacks a parameter, or the sensor is not in the session's plane.
         """
-        sensor = _FittedSensor(self.session, self.result, plan, rest)
-        planar = self.session.plane == "xy" and "alpha" in self.result
-        if self.angle_deg is None or not planar or not math.isfinite(self.result.fixture_sigma_deg or 0.0):
-            return sensor.by_length()
-        return sensor.at_angle(math.radians(self.angle_deg))
+        session, result = self.session, self.result
+        planar = session.plane == "xy"
+        model = PlanarTurn(session.gravity_mg) if planar else FreeAttitude(session.gravity_mg)
+        at, changes = self._known(model, plan, rest)
+        count, axes = len(model.parameters), model.axes
+        parts = (count, count + axes, count + 2 * axes)
 
-    def effect(self, plan: WritePlan, before: Rest, after: Rest) -> Agreement:
-        """Compare the change of the outputs by the write, between two dwells, with the planned change."""
-        figures = variant(plan.variant).performance
-        rows = [AXES.index(axis.axis) for axis in plan.axes]
-        # Between neighbouring dwells the bias wanders by the floor of its Allan deviation and the warmth.
-        wander = math.hypot(
-            math.sqrt(2) * figures.bias_instability_mg,
-            figures.bias_tempco_mg_per_c * (after.temperature_c - before.temperature_c),
-        )
-        u = np.sqrt(before.u_mg**2 + after.u_mg**2 + wander**2)[rows]
-        names = tuple(axis.axis.upper() for axis in plan.axes)
-        planned = np.array([axis.effect for axis in plan.axes])
-        moved = (after.mean_mg - before.mean_mg)[rows]
-        return Agreement("the write moved the outputs by", names, moved, planned, u)
+        def predicted(at: Floats) -> Floats:
+            base, bias, _, angle = np.split(at, parts)
+            return np.asarray(model.ideal(base, np.zeros(1), -angle)[0] + bias)
+
+        def left(at: Floats) -> Floats:
+            return np.asarray(np.split(at, parts)[2] - predicted(at))
+
+        def length(at: Floats) -> Floats:
+            base, bias, mean, _ = np.split(at, parts)
+            gravity = model.calibrated(base, (mean - bias)[None, :])
+            return np.asarray(session.gravity_mg * np.linalg.norm(gravity, axis=1))
+
+        declared = planar and "alpha" in result and math.isfinite(result.fixture_sigma_deg or 0.0)
+        if self.angle_deg is not None and declared:
+            where = f"readings at {self.angle_deg:g}° against the session"
+            u = _norms(central_differences(left, at, STEP, changes))
+            return Agreement(where, ("X", "Y"), left(at) + predicted(at), predicted(at), u)
+        value, gravity = length(at), np.array([session.gravity_mg])
+        if value[0] < 0.5 * gravity[0]:
+            raise FitError(
+                f"X and Y read {value[0]:.0f} mg of gravity together: set the part up as in the"
+                " session, its plane of rotation vertical"
+            )
+        what = "gravity's length by the session's calibration"
+        u = _norms(central_differences(length, at, STEP, changes))
+        return Agreement(what, ("|g|",), value, gravity, u)
+
+    def _known(self, model: Measurement, plan: WritePlan, rest: Rest) -> tuple[Floats, Floats]:
+        """Return the knowledge about a dwell as one vector (n,), and its independent changes (k, n).
+
+        The vector has the base parameters of the model in natural units, the biases with the present
+        offsets and the mean reading in mg, and the declared angle in rad. Skews and biases that a session
+        did not show are nominal in its fit. Each row of the changes is one standard uncertainty.
+
+        Raises
+        ------
+        FitError
+            The fit lacks a gain or all uncertainties.
+        """
+        session, result, axes = self.session, self.result, model.axes
+        rows = [(one.name, one.per_natural, one.nominal) for one in model.parameters]
+        rows += [(name, 1.0, 0.0) for name in BIASES[:axes]]
+        missing = [name for name, _, _ in rows if name.startswith("scale") and name not in result]
+        if missing or result.covariance is None:
+            raise FitError(
+                f"{session.source}: the fit does not give {', '.join(missing) or 'uncertainties'}"
+            )
+        fitted = [k for k, (name, _, _) in enumerate(rows) if name in result]
+        order = [[e.name for e in result.parameters].index(rows[k][0]) for k in fitted]
+        scale = np.array([rows[k][1] for k in fitted])
+        offsets = {axis.axis: (axis.now - axis.recorded) * axis.lsb for axis in plan.axes}
+        at = np.zeros(len(rows) + axes + 1)
+        at[: len(rows)] = [nominal for _, _, nominal in rows]
+        at[fitted] = np.array([result[rows[k][0]].value for k in fitted]) / scale
+        at[len(model.parameters) : len(rows)] += [offsets.get(axis, 0.0) for axis in AXES[:axes]]
+        at[len(rows) : -1] = rest.mean_mg[:axes]
+        at[-1] = math.radians(self.angle_deg or 0.0)
+        covariance = np.zeros((len(at), len(at)))
+        known = np.asarray(result.covariance)[np.ix_(order, order)]
+        covariance[np.ix_(fitted, fitted)] = known / np.outer(scale, scale)
+        # The dwell is a sample of the sensor that the session saw, at another temperature.
+        then = [float(d.temperature_c.mean()) for d in session.dwells if d.temperature_c is not None]
+        wander = self.wander(rest.temperature_c - float(np.mean(then)) if then else 0.0, 0.0)
+        # An angle that is set again: a few positions cannot estimate its uncertainty, and a vernier cannot
+        # be read better than 0.05°.
+        more = 0.05 if session.fixture_sigma_deg is None else 0.0
+        fixture = result.fixture_sigma_deg or 0.0
+        sigma = math.radians(math.hypot(fixture, more)) if math.isfinite(fixture) else 0.0
+        own = [*np.hypot(rest.u_mg[:axes], math.hypot(wander, result.extra_mg)), sigma]
+        covariance[np.arange(len(rows), len(at)), np.arange(len(rows), len(at))] = np.square(own)
+        return at, independent_changes(covariance)
+
+    def outputs(self, rest: Rest) -> tuple[Floats, Floats]:
+        """Return the mean reading (3,) of a dwell in mg, and its standard uncertainty."""
+        return rest.mean_mg, rest.u_mg
+
+    def wander(self, warmer_c: float, volts: float) -> float:
+        """Return the standard uncertainty in mg: floor of the Allan deviation of the bias, and warmth."""
+        floor = math.sqrt(2) * self.figures.bias_instability_mg
+        return math.hypot(floor, self.figures.bias_tempco_mg_per_c * warmer_c)
 
 
-class Gyros:
+def _norms(slopes: Floats) -> Floats:
+    """Return the standard uncertainties (k,) by derivatives (k, n) along independent changes."""
+    return np.asarray(np.linalg.norm(slopes, axis=-1))
+
+
+class Gyros(_Half):
     """Checks and plans the offsets of a session's gyros."""
 
     registers, others = GYRO_OFF, ACCEL_OFF
-
-    def __init__(self, session: Session) -> None:
-        self.session = session
-        self._figures = variant(session.sensor).performance
+    moved, unit = "the write moved the gyros by", "dps"
 
     @cached_property
     def result(self) -> GyroFit:
@@ -502,23 +468,23 @@ class Gyros:
         The prediction is for the pose, the temperature and the supply of the dwell, and the plan's present
         offsets.
         """
-        mean, u = rest.of_gyros
         moved = np.array([(axis.now - axis.recorded) * axis.lsb for axis in plan.axes])
         zero, of_zero = self.zero(rest)
-        u = np.sqrt(u**2 + of_zero**2 + self.wander(rest) ** 2)
-        return Agreement("zero rates here against the session", GYRO_NAMES, mean, zero + moved, u, "dps")
+        u = np.sqrt(rest.u_dps**2 + of_zero**2 + self.wander_since(rest) ** 2)
+        what = "zero rates here against the session"
+        return Agreement(what, GYRO_NAMES, rest.mean_dps, zero + moved, u, "dps")
 
-    def effect(self, plan: WritePlan, before: Rest, after: Rest) -> Agreement:
-        """Compare the change of the rates by the write, between two dwells, with the planned change."""
-        (first, u_first), (second, u_second) = before.of_gyros, after.of_gyros
-        wander = math.hypot(
-            math.sqrt(2) * self._figures.gyro_instability_dps,
-            TEMPCO_DPS_PER_C * (after.temperature_c - before.temperature_c),
-            self._figures.gyro_supply_sensitivity_dps_per_v * (after.supply_v - before.supply_v),
+    def outputs(self, rest: Rest) -> tuple[Floats, Floats]:
+        """Return the mean rates (3,) of a dwell in °/s, and their standard uncertainties."""
+        return rest.mean_dps, rest.u_dps
+
+    def wander(self, warmer_c: float, volts: float) -> float:
+        """Return the standard uncertainty in °/s: floor of the Allan deviation, warmth and supply."""
+        return math.hypot(
+            math.sqrt(2) * self.figures.gyro_instability_dps,
+            TEMPCO_DPS_PER_C * warmer_c,
+            self.figures.gyro_supply_sensitivity_dps_per_v * volts,
         )
-        u = np.sqrt(u_first**2 + u_second**2 + wander**2)
-        planned = np.array([axis.effect for axis in plan.axes])
-        return Agreement("the write moved the gyros by", GYRO_NAMES, second - first, planned, u, "dps")
 
     def compare_autonull(
         self, plan: WritePlan, rest: Rest, nulled: Numbers, samples: float | None
@@ -538,20 +504,13 @@ class Gyros:
         samples : float or None
             Number of samples that a precision autonull averages; None for the quick autonull, which takes
             one filtered sample.
-
-        Raises
-        ------
-        UsageError
-            The dwell has no gyros.
         """
-        if rest.sample_dps is None or rest.u_dps is None:
-            raise UsageError("an autonull needs a dwell with gyros for comparison")
         zero, u = self.zero(rest)
         lsb = plan.axes[0].lsb
         chip = np.array([(axis.recorded - nulled[axis.register]) * lsb for axis in plan.axes])
         # White noise of a mean falls with the root of its length; the dwell before gives its size.
         noise = rest.sample_dps if samples is None else rest.u_dps * np.sqrt(rest.samples / samples)
-        u = np.sqrt(noise**2 + lsb**2 / 12 + u**2 + self.wander(rest) ** 2)
+        u = np.sqrt(noise**2 + lsb**2 / 12 + u**2 + self.wander_since(rest) ** 2)
         force = ", ".join(signed(each, 3) for each in self.gyro.force_part(rest.mean_mg / 1000))
         what = f"zero rates in this pose by the chip against the session ({force} °/s of it by force)"
         return Agreement(what, GYRO_NAMES, chip, zero, u, "dps")
@@ -566,7 +525,7 @@ class Gyros:
         )
         return read.rate_dps, read.u_dps
 
-    def wander(self, rest: Rest) -> float:
+    def wander_since(self, rest: Rest) -> float:
         """Return the standard uncertainty in °/s by which a zero rate may have changed since the session.
 
         It comes from drift in time up to the dwell `rest`, and from the different temperature and supply of
@@ -575,34 +534,6 @@ class Gyros:
         known, then = self.gyro.needs, (self.gyro.temperature_c, self.gyro.supply_v)
         warmer = 0.0 if then[0] is None else rest.temperature_c - then[0].mean
         volts = 0.0 if then[1] is None else rest.supply_v - then[1].mean
-        return math.hypot(
-            math.sqrt(2) * self._figures.gyro_instability_dps,
-            0.0 if "temperature_c" in known else TEMPCO_DPS_PER_C * warmer,
-            0.0 if "supply_v" in known else self._figures.gyro_supply_sensitivity_dps_per_v * volts,
+        return self.wander(
+            0.0 if "temperature_c" in known else warmer, 0.0 if "supply_v" in known else volts
         )
-
-
-def part_of(
-    session: Session, *, gyros: bool, method: str | None = None, angle_deg: float | None = None
-) -> Accelerometers | Gyros:
-    """Return the object that plans and checks the offsets of a session's gyros or accelerometers.
-
-    Parameters
-    ----------
-    gyros : bool
-        True for the gyros, False for the accelerometers.
-    method : str or None
-        Method of the fit of the accelerometers; None for the best method.
-    angle_deg : float or None
-        Declared angle of the sensor now; None if it is not known.
-
-    Raises
-    ------
-    UsageError
-        A method for the accelerometers is given for the gyros.
-    """
-    if not gyros:
-        return Accelerometers(session, method, angle_deg)
-    if method is not None:
-        raise UsageError(f"{Path(session.source).name}: --method is for accelerometers; leave it out")
-    return Gyros(session)

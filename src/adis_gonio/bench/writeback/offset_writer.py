@@ -21,11 +21,11 @@ from adis_gonio.base.errors import AdisGonioError, ChipError, SessionError, Usag
 from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.bench.writeback.offset_checks import (
     PRECISE_S,
+    Accelerometers,
     Agreement,
     Gyros,
     Rest,
     measure,
-    part_of,
 )
 from adis_gonio.bench.writeback.offset_plan import WritePlan, recorded_offsets
 from adis_gonio.device.sensor.driver import FLASH_LIFE, FLASH_UPDATE_S, Adis16354, Undo
@@ -206,7 +206,10 @@ class OffsetWriter:
         self._angle_deg = own.angle_deg
         if own.angle_deg is None and self._bench.stage is not None and self.session.plane == "xy":
             self._angle_deg = next((angle for angle in angles if angle is not None), None)
-        self._part = part_of(self.session, gyros=own.gyros, method=own.method, angle_deg=self._angle_deg)
+        if own.gyros and own.method is not None:
+            raise UsageError(f"{self.path.name}: --method is for accelerometers; leave it out")
+        halves = (Gyros(self.session), Accelerometers(self.session, own.method, self._angle_deg))
+        self._part: Gyros | Accelerometers = halves[0] if own.gyros else halves[1]
         recorded_offsets(self.session, self._part.registers)
         self._plan: WritePlan | None = None
         self._before: Rest | None = None
