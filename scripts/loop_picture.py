@@ -13,7 +13,8 @@ import matplotlib as mpl
 from matplotlib import pyplot as plt
 
 from adis_gonio import load_session, trace
-from adis_gonio.handover.calibration_report import views
+from adis_gonio.fitting.estimation.readings import readings_of
+from adis_gonio.tracing.trace_figures import views_of
 
 RECORDING = Path(__file__).parents[1] / "examples" / "measured" / "thermal_cycle.csv.gz"
 
@@ -24,7 +25,8 @@ def draw(path: Path) -> None:
     result = trace(session)
     error = result.as_dict()["error"]
     before, after = (error[key]["heldout_by_axis_mg"] for key in ("before", "after"))
-    panels = [panel for panel in views(session, result).left if panel.covariate == "temperature"]
+    views = views_of(readings_of(session), result)
+    panels = [panel for panel in views.left if panel.covariate == "temperature"]
     mpl.rcParams.update({"svg.fonttype": "none", "svg.hashsalt": "loop", "font.size": 9})
     figure, places = plt.subplots(1, 3, figsize=(9, 2.9), layout="constrained")
     for place, panel, axis in zip(places, panels, "xyz", strict=True):

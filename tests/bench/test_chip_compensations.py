@@ -32,5 +32,5 @@ def test_a_session_and_its_report_say_what_the_chip_compensates_and_nothing_wher
     assert {name: session.facts["configuration"][name] for name in SAID} == {
         name: name in bits for name in SAID
     }
-    shown = dict(facts(session, None, "", None))["the chip compensates"]
+    shown = facts(session)["the chip compensates"]
     assert shown.splitlines() == [SAID[bit] for bit in bits]

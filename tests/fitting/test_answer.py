@@ -17,7 +17,7 @@ from adis_gonio.base.uncertainty import Value
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting.answer import Answer
 from adis_gonio.fitting.estimation.readings import Unit
-from adis_gonio.handover.calibration_report import build_page, certificate_section
+from adis_gonio.handover.calibration_report import build_page, certificate_section, facts
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.record.samples_writer import write_samples_csv
 from adis_gonio.tracing.findings import in_units_of_file, shares
@@ -273,7 +273,7 @@ def test_an_rms_error_above_u_is_explained_on_every_face():
     (said,) = (text for text in answer.remarks if "rms error" in text)
     assert "not safe" in said
     assert said in " ".join(answer.text(80).split())
-    page = certificate_section(session, answer, None)
+    page = certificate_section(answer, facts(session))
     assert said in page.notes
 
 
@@ -284,7 +284,7 @@ def test_a_pass_below_the_rms_error_of_single_dwells_is_explained_by_their_place
     tolerance = Tolerance(0.12)
     assert state_conformity(tolerance, answer.error_curves()).with_calibration.verdict == "pass"
     assert answer.values["angle"].value > tolerance.limit_deg
-    page = certificate_section(session, answer, None, tolerance=tolerance)
+    page = certificate_section(answer, facts(session), tolerance=tolerance)
     (said,) = (text for text in page.notes if "rms error" in text)
     assert "placement on the stage (u 0.2" in said
     assert "conformity are about the calibrated angle" in said

@@ -11,10 +11,12 @@ import pytest
 from adis_gonio import fit, trace
 from adis_gonio.base.conformity import Tolerance, state_conformity
 from adis_gonio.base.numbers import format_p, format_percent, format_uncertain, with_unit
-from adis_gonio.handover.calibration_report import build_page, facts, views
+from adis_gonio.fitting.estimation.readings import readings_of
+from adis_gonio.handover.calibration_report import build_page, facts
 from adis_gonio.model.effects import Conditions, effect
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.page.document import Figure, Section, Series, Table, plot
+from adis_gonio.tracing.trace_figures import views_of
 from adis_gonio.tracing.trace_summary import confounded, headline, how_sure, sight
 from adis_gonio.tracing.traced_answer import answer_with_trace
 
@@ -93,13 +95,13 @@ def curved():
     result = replace(
         result, steps=steps, found=found, after=steps[-1].error, adequate=True, confounded=(), reasons={}
     )
-    return session, result, views(session, result)
+    return session, result, views_of(readings_of(session), result)
 
 
 @pytest.fixture(scope="module")
 def page(curved):
-    session, result, drawn = curved
-    return build_page(session, [fit(session, "mmpm"), fit(session, "ml")], result, drawn)
+    session, result, _ = curved
+    return build_page(session, [fit(session, "mmpm"), fit(session, "ml")], result)
 
 
 def test_the_page_is_well_formed_and_loads_nothing(page):
@@ -151,7 +153,7 @@ def test_a_quadratic_is_drawn_against_the_reading_that_it_curves(curved):
 
 def test_an_error_of_the_stage_is_drawn_as_an_angle():
     session = planar(eccentric=0.1)
-    drawn = views(session, trace(session))
+    drawn = views_of(readings_of(session), trace(session))
     (panel,) = next(view.panels for view in drawn.steps if view.effect == "stage_eccentricity")
     assert (panel.covariate, panel.quantity) == ("angle", "angle")
     assert np.ptp(panel.before) > 0.1 > 4 * np.std(panel.after)
@@ -159,7 +161,7 @@ def test_an_error_of_the_stage_is_drawn_as_an_angle():
 
 def test_check_dwells_are_drawn_apart():
     session = planar(k2_x=3.0, check=True)
-    panel = views(session, trace(session)).steps[0].panels[0]
+    panel = views_of(readings_of(session), trace(session)).steps[0].panels[0]
     assert (len(panel.x), len(panel.check_x)) == (30, 6)
 
 
@@ -218,7 +220,7 @@ def test_the_page_says_who_measured_which_part_where_and_what_was_overridden():
         "columns: ax = Acc_X instead of those of the format",
     ):
         assert text in said
-    texts = [text for _, text in facts(session, None, "", None)]
+    texts = [*facts(session).values()]
     assert [texts.count(text) for text in ("0042", "T2", "Ada <b>")] == [1, 1, 1]
 
 
@@ -329,19 +331,19 @@ def certificate_of(page):
 
 
 def test_page_one_is_a_certificate_that_a_laboratory_can_sign(curved):
-    session, result, drawn = curved
+    session, result, _ = curved
     session = replace(
         session,
         **{"serial": "A7", "stage": "table 2", "operator": "M. Muster", "laboratory": "Lab <1>"},
         facts={"started_utc": "2026-03-01T10:00:00Z"},
     )
     fits = [fit(session, "ml")]
-    page = build_page(session, fits, result, drawn, tolerance=Tolerance(0.05))
+    page = build_page(session, fits, result, tolerance=Tolerance(0.05))
     first, facts = certificate_of(page)
     stated = {
         "sensor": "generic", "serial": "A7", "stage": "table 2", "operator": "M. Muster",
         "laboratory": "Lab <1>", "customer": "not stated", "date (UTC)": "2026-03-01 10:00",
-        "positions": str(len(session.dwells)), "local gravity": "9.80665 m/s²",
+        "session": "36 dwells, one plane, generic", "local gravity": "9.80665 m/s²",
         "u of a stage angle": "0.003°",
         "temperature": "not recorded", "supply": "not recorded",
     }  # fmt: skip
@@ -358,8 +360,8 @@ def test_page_one_is_a_certificate_that_a_laboratory_can_sign(curved):
 
 
 def test_without_a_tolerance_or_an_uncertainty_the_certificate_states_no_conformity(curved):
-    session, result, drawn = curved
-    first, _ = certificate_of(build_page(session, [fit(session, "ml")], result, drawn))
+    session, result, _ = curved
+    first, _ = certificate_of(build_page(session, [fit(session, "ml")], result))
     assert "Conformity is not stated: no tolerance was given." in first
     pair = (Dwell(0, np.zeros(1), np.array([[999.0, 3.0]]), 0.0),)
     pair += (Dwell(1, np.full(1, 60.0), np.array([[4.0, -1001.0]]), 90.0),)

@@ -31,7 +31,7 @@ from adis_gonio.base.uncertainty import NORMAL_95, Value
 from adis_gonio.device.sensor.settings import compensations
 from adis_gonio.fitting import FitResult
 from adis_gonio.fitting.answer import Answer, format_dof, format_share, method_tables
-from adis_gonio.fitting.estimation.readings import Readings, readings_of
+from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.fitting.slips import PositionFinding
 from adis_gonio.fitting.slips.session_positions import Angle
 from adis_gonio.model.records import METADATA, Session
@@ -81,17 +81,15 @@ def answer_section(answer: Answer) -> Section:
 
 
 def certificate_section(
-    session: Session,
     answer: Answer,
-    observed: Readings | None,
+    known: Mapping[str, str],
     positions: Sequence[PositionFinding] = (),
     tolerance: Tolerance | None = None,
 ) -> Section:
     """Return the first page of the report, for a laboratory to sign.
 
-    It states results, conformity with the tolerance (if one is given), instrument and conditions.
-    `observed` are the readings of the session, None if there are none; `positions` are findings on wrong
-    positions.
+    It states results, conformity with the tolerance (if one is given), instrument and conditions. `known`
+    are the facts of the session; `positions` are findings on wrong positions.
     """
     try:
         curves = answer.error_curves()
@@ -104,12 +102,11 @@ def certificate_section(
             first, *lines = state_conformity(tolerance, curves).lines
             stated = [f"{first}.", *(f"{line[:1].upper()}{line[1:]}." for line in lines)]
     doubts = list(dict.fromkeys([*(found.sentence for found in positions), *answer.doubts]))
-    who = ("serial", "stage", "operator", "laboratory", "customer")
-    instrument = [["sensor", session.sensor], *([n, getattr(session, n) or "not stated"] for n in who)]
-    known = dict(facts(session, observed, "", answer.reference_temperature_c))
+    who = ("sensor", "serial", "stage", "operator", "laboratory", "customer")
+    instrument = [[name, known[name] or "not stated"] for name in who]
     conditions = [
         ["date (UTC)", known["begun (UTC)"][:16].replace("T", " ") or "not stated"],
-        ["positions", "a free turn" if session.free_turn else str(len(session.dwells))],
+        ["session", known["session"]],
         *([name, known[name]] for name in ("temperature", "supply", "local gravity")),
         ["u of a stage angle", known["standard uncertainty of a declared angle"]],
     ]
@@ -503,35 +500,18 @@ def sight_section(traced: TraceResult) -> Section:
     return Section("Smallest detectable amplitudes", tables=[table] if rows else [], folded=True)
 
 
-def data_section(
-    session: Session, traced: TraceResult | None, software: str, reference_c: float | None = None
-) -> Section:
-    """Return the section on data and configuration of a session.
-
-    `software` made the page; `reference_c` is the temperature in °C at which the parameters are valid,
-    None if unknown.
-    """
-    known = facts(session, _observed(session), software, reference_c)
-    rows = [[name, text] for name, text in known if text]
+def data_section(session: Session, traced: TraceResult | None, known: Mapping[str, str]) -> Section:
+    """Return the section on data and configuration of a session; `known` are its facts."""
+    rows = [[name, text] for name, text in known.items() if text]
     notes = [*session.notes, *(traced.notes if traced is not None else ())]
     problems = [str(problem) for problem in session.facts.get("problems", ())]
     return Section("Data and configuration", tables=[Table(["", ""], rows)], notes=[*notes, *problems])
 
 
-def _observed(session: Session) -> Readings | None:
-    try:
-        return readings_of(session)
-    except AdisGonioError:
-        return None
+def facts(session: Session, reference_c: float | None = None) -> dict[str, str]:
+    """Return the facts of a session as texts by name; an empty text means unknown.
 
-
-def facts(
-    session: Session, observed: Readings | None, software: str, reference_c: float | None
-) -> list[tuple[str, str]]:
-    """Return the known facts of a session, each as a name and a text; an empty text means unknown.
-
-    `observed` are its readings, None if there are none; `software` made the page; `reference_c` is the
-    temperature in °C at which the parameters are valid, None if unknown.
+    `reference_c` is the temperature in °C at which the parameters are valid, None if unknown.
     """
     dwells = [dwell for dwell in session.dwells if len(dwell)]
     if session.free_turn and session.recording is not None:
@@ -548,37 +528,39 @@ def facts(
     configuration = stored.get("configuration") or {}
     rate = configuration.get("sample_rate_hz")
     start, end = float(dwells[0].time_s[0]), float(dwells[-1].time_s[-1])
-    return [
-        ("title", session.title),
-        *((name, getattr(session, name)) for name in METADATA),
-        ("file", Path(session.source).name),
-        ("SHA-256 of the file", digest_of_file(session.source) if Path(session.source).is_file() else ""),
-        ("sensor", session.sensor + (" (simulated)" if stored.get("simulated") else "")),
-        ("bus", str(stored.get("url", ""))),
-        ("note", str(stored.get("note", ""))),
-        ("overridden", "\n".join(words.overridden(session))),
-        ("begun (UTC)", str(stored.get("started_utc", ""))),
-        ("recorded by", str(stored.get("software", ""))),
-        ("this page by", software),
-        ("session", words.shape(session)),
-        ("samples", f"{sum(samples)}, {each} a dwell" if session.dwells else f"{sum(samples)}"),
-        ("duration", f"{(end - start) / 60:.1f} min"),
-        ("sample rate", with_unit(format_number(rate, 4), "Hz") if rate else ""),
-        ("filter", f"2^{configuration['filter_m']} taps, twice" if "filter_m" in configuration else ""),
-        ("the chip compensates", "\n".join(compensations(configuration))),
-        ("unit of the accelerations", session.accel_unit),
-        ("plane of rotation", "xy" if session.plane == "xy" else "none: attitudes in space"),
-        ("standard uncertainty of a declared angle", ", ".join(fixture) or "not stated"),
-        ("local gravity", f"{session.gravity_mps2:.5f} m/s²"),
-        ("standard uncertainty of a reading", _noise(observed)),
-        ("reference temperature of the parameters", "" if reference_c is None else f"{reference_c:.1f} °C"),
-        ("temperature", _span([d.temperature_c for d in dwells], "°C")),
-        ("supply", _span([d.supply_v for d in dwells], "V")),
-    ]
+    return {
+        "title": session.title,
+        **{name: getattr(session, name) for name in METADATA},
+        "file": Path(session.source).name,
+        "SHA-256 of the file": digest_of_file(session.source) if Path(session.source).is_file() else "",
+        "sensor": session.sensor + (" (simulated)" if stored.get("simulated") else ""),
+        "bus": str(stored.get("url", "")),
+        "note": str(stored.get("note", "")),
+        "overridden": "\n".join(words.overridden(session)),
+        "begun (UTC)": str(stored.get("started_utc", "")),
+        "recorded by": str(stored.get("software", "")),
+        "this page by": f"adis-gonio {__version__}",
+        "session": words.shape(session),
+        "samples": f"{sum(samples)}, {each} a dwell" if session.dwells else f"{sum(samples)}",
+        "duration": f"{(end - start) / 60:.1f} min",
+        "sample rate": with_unit(format_number(rate, 4), "Hz") if rate else "",
+        "filter": f"2^{configuration['filter_m']} taps, twice" if "filter_m" in configuration else "",
+        "the chip compensates": "\n".join(compensations(configuration)),
+        "unit of the accelerations": session.accel_unit,
+        "plane of rotation": "xy" if session.plane == "xy" else "none: attitudes in space",
+        "standard uncertainty of a declared angle": ", ".join(fixture) or "not stated",
+        "local gravity": f"{session.gravity_mps2:.5f} m/s²",
+        "standard uncertainty of a reading": _noise(session),
+        "reference temperature of the parameters": "" if reference_c is None else f"{reference_c:.1f} °C",
+        "temperature": _span([d.temperature_c for d in dwells], "°C"),
+        "supply": _span([d.supply_v for d in dwells], "V"),
+    }
 
 
-def _noise(observed: Readings | None) -> str:
-    if observed is None:
+def _noise(session: Session) -> str:
+    try:
+        observed = readings_of(session)
+    except AdisGonioError:
         return ""
     if not observed.noise_known:
         return "not known: estimated from the residual"
@@ -640,16 +622,10 @@ def _covariate_label(covariate: str) -> str:
     return _COVARIATES.get(covariate, f"reading of {covariate[-1]} / g")
 
 
-def views(session: Session, result: TraceResult) -> Views:
-    """Return the data of the residual figures, before and after each effect that the trace added."""
-    return result.views or views_of(readings_of(session), result)
-
-
 def build_page(
     session: Session,
     fits: Sequence[FitResult],
     traced: TraceResult | str,
-    shown: Views | None = None,
     sections: Sequence[Section] = (),
     failures: Mapping[str, str] | None = None,
     tolerance: Tolerance | None = None,
@@ -664,8 +640,6 @@ def build_page(
         One fit per method, the best last.
     traced : TraceResult or str
         The trace, or the reason if there is none.
-    shown : Views, optional
-        Residuals for the figures (`views`); without them these figures are omitted.
     sections : sequence of Section
         Further sections, before data and configuration.
     failures : mapping of str to str, optional
@@ -678,7 +652,6 @@ def build_page(
     str
         One page that needs no other file; all texts are escaped.
     """
-    software = f"adis-gonio {__version__}"
     result = traced if isinstance(traced, TraceResult) else None
     best = next((fit for fit in reversed(fits) if fit.comparison is not None), None)
     answer = None if best is None else answer_with_trace(best, result, own=False)
@@ -686,32 +659,28 @@ def build_page(
     if result is not None:
         positions = result.position_findings
     body = []
+    dated = (one.reference_temperature_c for one in (answer, result) if one is not None)
+    known = facts(session, next((degrees for degrees in dated if degrees is not None), None))
     if answer is not None:
-        first = certificate_section(session, answer, _observed(session), positions, tolerance)
-        body += [first, answer_section(answer)]
+        body += [certificate_section(answer, known, positions, tolerance), answer_section(answer)]
     body += [summary_section(traced), *positions_section(positions)]
     if answer is not None:
         body += [budget_section(answer), scores_section(answer)]
     body += [fitted_section(fits, failures or {})]
     if result is not None:
+        shown = result.views or views_of(readings_of(session), result)
         body += [*what_if_section(result), found_section(result), errors_section(result)]
-        body += [further_terms_section(session, result)]
-        if shown is not None:
-            body += [steps_section(result, shown), residual_section(shown)]
-        body += [within_section(result)]
+        body += [further_terms_section(session, result), steps_section(result, shown)]
+        body += [residual_section(shown), within_section(result)]
         body += [rivals_section(result), sight_section(result)]
         body += [Section("What to measure next", points=words.advice(result))]
-    reference_c = None if answer is None else answer.reference_temperature_c
-    if reference_c is None and result is not None:
-        reference_c = result.reference_temperature_c
-    body += [*sections, data_section(session, result, software, reference_c)]
+    body += [*sections, data_section(session, result, known)]
     return render(
         "Calibration report",
         words.title(session),
         shape=" · ".join([words.shape(session), *map(" ".join, words.written_down(session).items())]),
         simulated=bool(session.facts.get("simulated")),
         begun=str(session.facts.get("started_utc", "")),
-        software=software,
         sections=body,
         closing="This page is made from the session's file alone and can be made again from it.",
     )

@@ -250,7 +250,7 @@ def _report_page(
     """
     from adis_gonio.base.budget import current, with_progress
     from adis_gonio.fitting import applicable_methods, fit
-    from adis_gonio.handover.calibration_report import build_page, views
+    from adis_gonio.handover.calibration_report import build_page
     from adis_gonio.handover.digital_twin import twin_section
     from adis_gonio.handover.gyro_report import gyro_section, noise_section
     from adis_gonio.page.document import Section
@@ -264,19 +264,21 @@ def _report_page(
             fits.append(fit(session, method=method))
         except AdisGonioError as error:
             failures[method] = str(error)
-    gyros = [section for section in (gyro_section(session), noise_section(session)) if section is not None]
+    sections = [one for one in (gyro_section(session), noise_section(session)) if one is not None]
+    traced: TraceResult | str
     try:
         traced = trace(session, time_limit=time_limit, **what_if)
-        drawn = views(session, traced)
     except AdisGonioError as error:
         if any(what_if.values()):
             raise
-        return build_page(session, fits, str(error), None, gyros, failures, tolerance)
-    tell("its digital twin")
-    try:
-        twin = twin_section(session, traced)
-    except AdisGonioError as error:
-        twin = Section("The digital twin against the measured data", words=(f"There is none: {error}.",))
-    tell("its figures")
-    sections = gyros if twin is None else [*gyros, twin]
-    return build_page(session, fits, traced, drawn, sections, failures, tolerance)
+        traced = str(error)
+    else:
+        tell("its digital twin")
+        title = "The digital twin against the measured data"
+        try:
+            twin = twin_section(session, traced)
+        except AdisGonioError as error:
+            twin = Section(title, words=(f"There is none: {error}.",))
+        sections += [] if twin is None else [twin]
+        tell("its figures")
+    return build_page(session, fits, traced, sections, failures, tolerance)
