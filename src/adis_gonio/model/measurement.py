@@ -492,14 +492,14 @@ def axes_matrix(skews_rad: Floats) -> Floats:
     UsageError
         No three axes have such skews.
     """
-    xy, xz, yz = (math.sin(skew) for skew in skews_rad)
-    y_of_y = math.cos(float(skews_rad[0]))
-    # Solve Y · Z = sin(yz) for the y component of Z.
-    y_of_z = (yz - xz * xy) / y_of_y if y_of_y > 0 else math.inf
-    square = 1 - xz * xz - y_of_z * y_of_z
-    if square <= 0:
-        raise UsageError("no three axes have skews of this size; give skews of a few degrees")
-    return np.array([[1.0, 0.0, 0.0], [xy, y_of_y, 0.0], [xz, y_of_z, math.sqrt(square)]])
+    # Entries are the cosines between axes, i.e. D Dᵀ; a lower triangular D is its Cholesky factor.
+    cosines = np.eye(3)
+    for skew, (i, j) in zip(np.sin(skews_rad), SKEW_AXES, strict=True):
+        cosines[i, j] = cosines[j, i] = skew
+    try:
+        return np.asarray(np.linalg.cholesky(cosines))
+    except np.linalg.LinAlgError:
+        raise UsageError("no three axes have skews of this size; give skews of a few degrees") from None
 
 
 def axes_matrix_derivatives(skews_rad: Floats) -> Floats:
@@ -508,18 +508,12 @@ def axes_matrix_derivatives(skews_rad: Floats) -> Floats:
     The first index is the skew. `axes_matrix` returns D, with the axes as rows.
     """
     axes = axes_matrix(skews_rad)
-    (s_xy, s_xz, _), (c_xy, c_xz, c_yz) = np.sin(skews_rad), np.cos(skews_rad)
-    y, z = axes[2, 1], axes[2, 2]
-    derivative = np.zeros((3, 3, 3))
-    # Row Y depends on skew_xy only.
-    derivative[0, 1, :2] = c_xy, -s_xy
-    derivative[1, 2, 0] = c_xz
-    # Derivatives of the y component of Z; its z component follows from the unit length.
-    slope = (-s_xz + y * s_xy / c_xy, -c_xz * s_xy / c_xy, c_yz / c_xy)
-    for k in range(3):
-        derivative[k, 2, 1] = slope[k]
-        derivative[k, 2, 2] = -(y * slope[k] + (s_xz * c_xz if k == 1 else 0.0)) / z
-    return derivative
+    change, inverse = np.zeros((3, 3, 3)), np.linalg.inv(axes)
+    for k, (i, j) in enumerate(SKEW_AXES):
+        change[k, i, j] = change[k, j, i] = np.cos(skews_rad[k])
+    # Derivative of a Cholesky factor D of C: D Φ(D⁻¹ ∂C D⁻ᵀ), Φ the lower triangle with half the diagonal.
+    inner = inverse @ change @ inverse.T
+    return np.asarray(axes @ (np.tril(inner) - inner * np.eye(3) / 2))
 
 
 def gains_and_skews(gram: Floats) -> tuple[Floats, Floats]:
