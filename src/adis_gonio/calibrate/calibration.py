@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from adis_gonio.base.arrays import Floats, central_differences, wrap_radians
 from adis_gonio.base.conformity import ErrorCurve
-from adis_gonio.base.errors import DataError, FitError, UsageError
+from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.base.jsonable import HIDDEN, OPTIONAL, JsonRecord, json_object, json_text
 from adis_gonio.base.numbers import counted, join_words
 from adis_gonio.base.output import check_output, write_text
@@ -109,9 +109,9 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
     covariance: Floats | None = None
     not_corrected: tuple[NotCorrected, ...] = ()
     assumed: tuple[str, ...] = ()
-    of_session: ClassVar[Callable[[str | Path], Any] | None] = None
+    of_session: ClassVar[Callable[[str | Path], Any]]
     """Function that loads a calibration file or fits a session; set by
-    `adis_gonio.tracing.trace_calibrations`. None before that: `load` then reads only calibration files."""
+    `adis_gonio.tracing.trace_calibrations`, which every use of `adis_gonio.Calibration` imports."""
 
     def __getitem__(self, name: str) -> Coefficient:
         """Return the parameter of this name; `KeyError` if there is none."""
@@ -156,16 +156,8 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
             The file has no calibration of these sensors (accelerometers or gyros), or the session does not
             determine it.
         """
-        if cls.of_session is not None:
-            made: Self = cls.of_session(path)
-            return made
-        from adis_gonio.calibrate.calibration_document import calibration_in
-
-        found = calibration_in(path)
-        for one in (found, None if found is None else found.gyro):
-            if isinstance(one, cls):
-                return one
-        raise DataError(f"{path}: is not this kind of calibration; fit a session by adis_gonio.fit")
+        made: Self = cls.of_session(path)
+        return made
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
         """Write the calibration as JSON (`schema/calibration-1.json`); `load` gives equal numbers.
@@ -463,31 +455,14 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         """
         if not self.planar or "scale_x" not in self:
             return None
-        k_x = self["scale_x"].value
-        k_y = self["scale_y"].value if "scale_y" in self else 1.0
-        u = None
-        if self.covariance is not None:
-            slopes = {"scale_x": 1 / k_y, "scale_y": -k_x / k_y**2}
-            slope = np.array([slopes.get(name, 0.0) for name in self.names])
-            u = math.sqrt(max(float(slope @ self.covariance @ slope), 0.0))
-        return Coefficient("delta_k", k_x / k_y - 1, u, "1")
 
-    def summary(self) -> str:
-        """Describe the calibration in lines of text: origin, parameters with u, and uncorrected effects."""
-        where = self.provenance
-        lines = [repr(self).removeprefix("Calibration(").removesuffix(")")]
-        facts = [("part", where.serial), ("operator", where.operator), ("stage", where.stage)]
-        facts += [("title", where.title), ("file", where.source), ("recorded", where.recorded_utc)]
-        lines += [f"  {label}: {text}" for label, text in facts if text]
-        lines += [f"  {one}" for one in (self.delta_k, *self.parameters) if one is not None]
-        t = where.temperature_c
-        if t is not None:
-            degrees = f"{t.low:.1f} to {t.high:.1f} °C"
-            lines.append(f"  measured at {degrees}; effects of temperature are zero at 25 °C")
-        lines += [f"  {name}: not determined, taken as nominal" for name in self.assumed]
-        lines += [f"  not corrected: {one.effect}: {one.reason}" for one in self.not_corrected]
-        lines += [] if self.gyro is None else [self.gyro.summary()]
-        return "\n".join(lines)
+        def ratio(values: Floats) -> Floats:
+            found = dict(zip(self.names, values, strict=True))
+            return np.asarray(found["scale_x"] / found.get("scale_y", 1.0) - 1)
+
+        value, variance = self._with_variance(ratio)
+        u = None if self.covariance is None else math.sqrt(variance)
+        return Coefficient("delta_k", float(value), u, "1")
 
     def as_dict(self) -> dict[str, Any]:
         """Return the JSON document of the calibration, in the format of `schema/calibration-1.json`."""

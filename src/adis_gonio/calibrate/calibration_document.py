@@ -58,7 +58,8 @@ def gyro_calibration_from(document: Any, name: str = "gyro calibration") -> Gyro
     DataError
         The document is not a gyro calibration, is of a newer version or has unusable entries.
     """
-    return _read_from(document, name, GyroCalibration.schema, "gyro calibration", _read_gyro)
+    hint = "; give the session of the gyros or a GyroCalibration.save file"
+    return _read_from(document, name, GyroCalibration.schema, "gyro calibration", _read_gyro, hint)
 
 
 def _read_from(
@@ -67,7 +68,7 @@ def _read_from(
     schema: str,
     kind: str,
     read: Callable[[Mapping[str, Any]], Made],
-    hint: str = "",
+    hint: str,
 ) -> Made:
     if not isinstance(document, Mapping) or document.get("schema") != schema:
         raise DataError(f"{name}: is no {kind}{hint}")

@@ -207,13 +207,6 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         }
         return tuple(name for name, kinds in wanted.items() if found & kinds)
 
-    def summary(self) -> str:
-        """Describe the calibration in lines of text: its origin, and its parameters with u."""
-        lines = [f"gyros by method {self.method}", *(f"  {one}" for one in self.parameters)]
-        lines += [f"  not determined, taken as nominal: {', '.join(self.assumed)}"] if self.assumed else []
-        lines += [f"  not corrected: {one.effect}: {one.reason}" for one in self.not_corrected]
-        return "\n".join(lines)
-
     def as_dict(self) -> dict[str, Any]:
         """Return the JSON document of the calibration.
 

@@ -8,13 +8,10 @@ import numpy as np
 
 from adis_gonio.base import numbers
 from adis_gonio.base.errors import AdisGonioError, DataError
-from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.allan import AllanResult, AxisNoise, allan_fit, fit_allan
 from adis_gonio.fitting.gyros.gyro_fit import GyroFit, fit_gyro
-from adis_gonio.handover.register_offsets import gyro_offset_words
 from adis_gonio.model.records import Session
 from adis_gonio.page.document import Figure, Role, Section, Series, Table, plot, render
-from adis_gonio.tracing.trace_calibrations import gyros_as_recorded
 
 _ROLES: tuple[Role, ...] = ("after", "third", "fourth")
 
@@ -36,7 +33,7 @@ def gyro_section(session: Session) -> Section | None:
         words=sentences,
         points=tuple(result.warnings),
         figures=[_residuals(result)],
-        tables=[gyro_table(result), *_offsets(session)],
+        tables=[gyro_table(result)],
     )
 
 
@@ -64,31 +61,6 @@ def _cell(result: GyroFit, name: str) -> str:
         towards_itself = name.startswith("gyro_misalignment") and name[-1] == name[-2]
         return "" if towards_itself else "–"
     return numbers.format_uncertain(result[name].value, result[name].U)
-
-
-def _offsets(session: Session) -> list[Table]:
-    """Return a list with the table of the gyro offset registers; empty if they are unknown.
-
-    The table has the numbers in the registers during the session, the numbers that would remove the zero
-    rates, and the zero rates that remain because the numbers are integers.
-    """
-    if session.sensor not in VARIANTS:
-        return []
-    try:
-        words = gyro_offset_words(gyros_as_recorded(session))
-    except AdisGonioError:
-        return []
-    rows = [
-        [
-            word.name,
-            numbers.format_fixed(word.before, 0),
-            numbers.format_fixed(word.number, 0),
-            numbers.signed(word.remainder, 4),
-        ]
-        for word in words
-    ]
-    head = ["register", "while recorded", "removes the zero rate", "remainder / (°/s)"]
-    return [Table(head, rows, caption="One LSB is 0.018315 °/s at every range.", numeric=(1, 2, 3))]
 
 
 def _residuals(result: GyroFit) -> Figure:

@@ -433,10 +433,6 @@ def load_gyro_calibration(
         if whole.gyro is None:
             raise FitError(f"{path}: is a calibration without gyros")
         return whole.gyro
-    if schema != GyroCalibration.schema:
-        raise DataError(
-            f"{path}: is no gyro calibration; give the session of the gyros or a GyroCalibration.save file"
-        )
     return gyro_calibration_from(document, str(path))
 
 
