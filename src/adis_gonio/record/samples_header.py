@@ -4,10 +4,7 @@ Text is UTF-8, with or without a byte order mark, or UTF-16, as Excel's "Unicode
 is no UTF-8 is read as Windows-1252, in which older programs write the degree sign and the superscript two;
 digits are the same in both encodings.
 
-The delimiter between cells is the one with which most names of the header are known. In a file separated by
-commas a fraction has a point, as the format requires. In other files the numbers have to prove the decimal
-mark (point or comma): `0,5` or `1234,5` can only have a decimal comma, while the comma of `1,234` may also
-separate thousands. A file without proof is refused, and so is a number with another mark.
+The delimiter between cells is the one with which most names of the header are known.
 """
 
 from __future__ import annotations
@@ -191,62 +188,25 @@ SPACE = " "
 DELIMITERS = {"\t": "tab", ";": "semicolon", ",": "comma", SPACE: "space"}
 """Delimiters that are recognised, with their names for messages."""
 
-# Possessive quantifiers (++) prevent backtracking, which takes hours in a cell of thousands of digits.
-_NUMBER = re.compile(r"[+-]?(?:\d++\.?\d*+|\.\d+)(?:[eE][+-]?\d+)?")
-UNDECIDED = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
-"""Pattern of a number with a mark that may be the decimal mark or separate thousands."""
-SWAPPED = str.maketrans(",.", ".,")
-"""Exchange of point and comma, after which only a number with a decimal comma is one of Python's."""
 _TOKENS = re.compile(r"\s+(?![\[(])")
 
 
-@dataclass(frozen=True)
-class Dialect:
-    """Delimiter and number format of a samples file.
+def split_cells(line: str, delimiter: str) -> list[str]:
+    """Split a line into its cells, without quotation marks.
 
-    Attributes
-    ----------
-    delimiter : str
-        One of `DELIMITERS`, or a delimiter that the file states.
-    decimal : str
-        Decimal mark, `.` or `,`.
+    Raises
+    ------
+    ValueError
+        A quotation mark is not closed.
     """
-
-    delimiter: str
-    decimal: str = "."
-
-    def cells(self, line: str) -> list[str]:
-        """Split a line into its cells, without quotation marks.
-
-        Raises
-        ------
-        ValueError
-            A quotation mark is not closed.
-        """
-        delimiter = self.delimiter
-        if '"' not in line:
-            return line.split(None if delimiter == SPACE else delimiter)
-        if delimiter == SPACE:
-            line, delimiter = " ".join(line.split()), " "
-        try:
-            return next(csv.reader([line], delimiter=delimiter, strict=True, skipinitialspace=True))
-        except (csv.Error, StopIteration):
-            raise ValueError("a quotation mark does not end, or is within a cell") from None
-
-    def number(self, cell: str) -> float:
-        """Convert a cell to a number.
-
-        Raises
-        ------
-        ValueError
-            The cell has no number in this dialect.
-        """
-        text = cell.strip().replace("−", "-")
-        if self.decimal == ",":
-            text = text.translate(SWAPPED)
-        if not _NUMBER.fullmatch(text) and text.lower().lstrip("+-") not in ("nan", "inf", "infinity"):
-            raise ValueError(cell)
-        return float(text)
+    if '"' not in line:
+        return line.split(None if delimiter == SPACE else delimiter)
+    if delimiter == SPACE:
+        line = " ".join(line.split())
+    try:
+        return next(csv.reader([line], delimiter=delimiter, strict=True, skipinitialspace=True))
+    except (csv.Error, StopIteration):
+        raise ValueError("a quotation mark does not end, or is within a cell") from None
 
 
 def header_cells(line: str, delimiter: str) -> list[str]:
@@ -254,7 +214,7 @@ def header_cells(line: str, delimiter: str) -> list[str]:
     if delimiter == SPACE and '"' not in line:
         return _TOKENS.split(line.strip())
     try:
-        cells = [cell.strip() for cell in Dialect(delimiter).cells(line)]
+        cells = [cell.strip() for cell in split_cells(line, delimiter)]
     except ValueError:
         cells = [cell.strip().strip('"') for cell in line.split(delimiter)]
     while cells and not cells[-1]:
@@ -278,7 +238,7 @@ Lines = list[tuple[int, str]]
 
 @dataclass(frozen=True)
 class Head:
-    """Contents of a file above its rows: keys, header, number format and remarks.
+    """Contents of a file above its rows: keys, header, delimiter and remarks.
 
     Attributes
     ----------
@@ -288,8 +248,8 @@ class Head:
         Number of the last line of the head, from 1; the rows follow.
     width : int
         Number of cells in the header.
-    dialect : Dialect
-        Delimiter; the decimal mark is still to be found in the rows.
+    delimiter : str
+        One of `DELIMITERS`, or a delimiter that the file states.
     columns : dict of str to CsvColumn
         Columns to read, by the format's names.
     keys : dict of str to object
@@ -301,7 +261,7 @@ class Head:
     path: Path
     line: int
     width: int
-    dialect: Dialect
+    delimiter: str
     columns: dict[str, CsvColumn]
     keys: dict[str, Any]
     notes: tuple[str, ...]
@@ -363,9 +323,8 @@ def read_head(path: Path, wanted: Mapping[str, str]) -> Head:
         shown = ", ".join(f"'{other[:40].strip()}'" for _, other in skipped[:3])
         more = ", …" if len(skipped) > 3 else ""
         notes.append(f"rows before the header in row {row} were skipped: {shown}{more}")
-    dialect = Dialect(delimiter)
-    keys, remarks = _read_keys(path.name, comments, dialect, len(cells))
-    return Head(path, row, len(cells), dialect, columns, keys, (*remarks, *notes))
+    keys, remarks = _read_keys(path.name, comments, delimiter, len(cells))
+    return Head(path, row, len(cells), delimiter, columns, keys, (*remarks, *notes))
 
 
 _NUMBERS = re.compile(r"[\s\d.,;:+\-/eETZ\"]+")
@@ -443,10 +402,10 @@ def _split(line: str, separator: str | None, wanted: Mapping[str, str]) -> tuple
     return max(((delimiter, header_cells(line, delimiter)) for delimiter in DELIMITERS), key=quality)
 
 
-def _read_keys(file: str, lines: Lines, dialect: Dialect, columns: int) -> tuple[dict[str, Any], list[str]]:
+def _read_keys(file: str, lines: Lines, delimiter: str, columns: int) -> tuple[dict[str, Any], list[str]]:
     """Return the values of the lines `# key: value`, and remarks on them.
 
-    A spreadsheet writes these lines like rows, in the file's dialect and with as many columns as the header
+    A spreadsheet writes these lines like rows, with the file's delimiter and as many columns as the header
     (`columns`).
 
     Raises
@@ -457,7 +416,7 @@ def _read_keys(file: str, lines: Lines, dialect: Dialect, columns: int) -> tuple
     values: dict[str, Any] = {}
     notes: list[str] = []
     for number, line in lines:
-        name, colon, text = _comment_text(line, dialect, columns).partition(":")
+        name, colon, text = _comment_text(line, delimiter, columns).partition(":")
         name, text = name.strip().lower(), with_formulas(text.strip())
         if not colon:
             continue
@@ -482,20 +441,18 @@ def _read_keys(file: str, lines: Lines, dialect: Dialect, columns: int) -> tuple
     return values, notes
 
 
-def _comment_text(line: str, dialect: Dialect, columns: int) -> str:
+def _comment_text(line: str, delimiter: str, columns: int) -> str:
     """Return a comment line without `#` and without quotes and delimiters that a spreadsheet added.
 
     `columns` is the number of cells of the header.
     """
     if line.startswith('"'):
         try:
-            line = dialect.cells(line)[0]
+            line = split_cells(line, delimiter)[0]
         except (ValueError, IndexError):
             line = line.strip('"')
-    elif dialect.delimiter != SPACE and (
-        line.endswith(2 * dialect.delimiter) or line.count(dialect.delimiter) == columns - 1
-    ):
-        line = line.rstrip(dialect.delimiter)
+    elif delimiter != SPACE and (line.endswith(2 * delimiter) or line.count(delimiter) == columns - 1):
+        line = line.rstrip(delimiter)
     return line.lstrip("#")
 
 
@@ -531,8 +488,6 @@ class _Assignment:
         """
         assigned = dict(self._named_column(name, called) for name, called in wanted.items())
         found = assigned | self._by_name(assigned)
-        if not found:
-            raise self._unknown()
         chosen, notes = self._with_units(found)
         self._refuse_missing(chosen)
         gyros = [name for name in GYROS if name in chosen]
@@ -621,25 +576,22 @@ class _Assignment:
                 " and the g-sensitivity; add these columns"
             )
         spare = [cell for cell in self.cells if cell and recognise_column(cell) is None]
-        hint = ""
-        if spare:
-            likely = ",".join(f"{name}={_likely_column(name, spare)}" for name in missing)
-            hint = f"; not known are {_shown(spare)}: say which it is, such as --columns '{likely}'"
-        raise self._fail(f"column '{missing[0]}' is missing{hint}")
-
-    def _unknown(self) -> DataError:
-        cells = [cell for cell in self.cells if cell]
-        if cells and all(map(_NUMBERS.fullmatch, cells)):
-            return self._fail(
+        if not chosen and spare and all(map(_NUMBERS.fullmatch, spare)):
+            raise self._fail(
                 f"no header row: the first row has numbers; put a row such as '{_EXPECTED}' above it"
             )
-        reason = f"not a samples CSV: no known column in the header ({_shown(cells)})"
-        reason += "; expected time_s, ax, ay, …"
-        names = [cell for cell in cells if len(cell) <= _LONGEST_NAME]
-        if len(names) < 3:  # prose: time, ax and ay need three names
-            return self._fail(reason)
-        example = "time={},ax={},ay={}".format(*names)
-        return self._fail(f"{reason}; say which are which, such as --columns '{example}'")
+        what = f"column '{missing[0]}' is missing"
+        if not chosen:
+            what = f"not a samples CSV: no known column in the header; expected {_EXPECTED}"
+        shown = ", ".join(f"'{cell[:_LONGEST_NAME]}'" for cell in spare[:12])
+        what += f"; not known are {shown}" if spare else ""
+        names = [cell for cell in spare if len(cell) <= _LONGEST_NAME]
+        if len(names) < len(missing):  # nothing, or prose
+            raise self._fail(what)
+        likely = [_likely_column(name, names) for name in missing]
+        pairs = zip(missing, names if None in likely else likely, strict=False)
+        example = ",".join(f"{name.removesuffix('_s')}={cell}" for name, cell in pairs)
+        raise self._fail(f"{what}: say which are which, such as --columns '{example}'")
 
     def _ignored(self, found: Mapping[str, CsvColumn]) -> list[str]:
         taken = {column.place for column in found.values()}
@@ -651,20 +603,13 @@ class _Assignment:
         return notes
 
 
-def _shown(cells: Sequence[str]) -> str:
-    return ", ".join(f"'{cell[:40]}'" for cell in cells[:12])
-
-
-def _likely_column(name: str, spare: Sequence[str]) -> str:
-    """Return the cell of the header that the user may have meant for the column `name` of the format.
-
-    `spare` are the cells that no column uses. The result is "…" if none of them is likely.
-    """
+def _likely_column(name: str, spare: Sequence[str]) -> str | None:
+    """Return the cell among `spare` that the user may have meant for the column `name`; None if none is."""
     for cell in spare:
         text = split_unit(cell)[0].lower()
         if text.endswith(name[1]) if name in AXES else text.startswith(("t", "z")):
             return cell
-    return "…"
+    return None
 
 
 def _is_called(cell: str, name: str) -> bool:

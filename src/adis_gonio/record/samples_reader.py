@@ -1,7 +1,12 @@
 """The samples CSV as a session: its rows as arrays, chunk by chunk, and the dwells in them.
 
 The numbers of a column are converted in bulk. Only if that fails they are read one by one, so that an error
-names the row. Comments, empty rows at the end and an incomplete last row are left out. Columns with one
+names the row. In a file separated by commas a fraction has a point, as the format requires, or the cell is
+quoted. In other files the numbers have to prove the decimal mark (point or comma): `0,5` or `1234,5` can
+only have a decimal comma, while the comma of `1,234` may also separate thousands. A file without proof is
+refused, and so is a number with another mark.
+
+ Comments, empty rows at the end and an incomplete last row are left out. Columns with one
 value for each dwell are kept as runs of equal text, so that memory is used for little but the numbers.
 
 A file without the column `position` is one continuous recording: its dwells are found by stillness
@@ -39,6 +44,12 @@ _WALL_CLOCK = re.compile(
     r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d+)?)?\s*(Z|[+-]\d\d(:?\d\d)?)?", re.ASCII
 )
 """Pattern of a time in ISO 8601 with its date, as loggers write it, with or without Z or an offset."""
+# Possessive quantifiers (++) prevent backtracking, which takes hours in a cell of thousands of digits.
+_NUMBER = re.compile(r"[+-]?(?:\d++\.?\d*+|\.\d+)(?:[eE][+-]?\d+)?")
+_UNDECIDED = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
+"""Pattern of a number with a mark that may be the decimal mark or separate thousands."""
+_SWAPPED = str.maketrans(",.", ".,")
+"""Exchange of point and comma, after which only a number with a decimal comma is one of Python's."""
 _SLOWEST_S = 2.0
 """Median step of the rows in s from which a time without a unit may be in ms, so that it is refused."""
 Texts = list[tuple[int, str]]
@@ -51,9 +62,7 @@ class SamplesTable:
     Parameters
     ----------
     head : Head
-        Keys, header and remarks of the file.
-    dialect : Dialect
-        Delimiter and decimal mark of the rows.
+        Keys, header, delimiter and remarks of the file.
 
     Attributes
     ----------
@@ -65,16 +74,20 @@ class SamplesTable:
         Remarks on the head and on rows that were left out.
     """
 
-    def __init__(self, head: samples_header.Head, dialect: samples_header.Dialect) -> None:
-        self.head, self.dialect, self.notes = head, dialect, list(head.notes)
+    def __init__(self, head: samples_header.Head) -> None:
+        self.head, self.notes = head, list(head.notes)
         self.series: dict[str, Floats] = {}
         self.runs: dict[str, Texts] = {name: [] for name in head.columns if COLUMNS[name].per_dwell}
         present = {name: [m for m in members if m in head.columns] for name, members in SERIES.items()}
         # Arrays that grow at their end without a copy, row after row.
         self._numbers = {name: (members, array("d")) for name, members in present.items() if members}
         self._rows, self._latest_s = 0, -math.inf
-        self._lines: list[tuple[int, int]] = []
-        """Pairs of a row and its line number; the rows up to the next pair follow line by line."""
+        self._lines = array("I")
+        """Line number of each row."""
+        self._decimal, self._proved = ".", False
+        """Decimal mark, and whether a number has proved it."""
+        self._doubtful: tuple[str, str, int] | None = None
+        """Column, text and line of the first number with a mark; None before it."""
         self._began: datetime | None = None
         """Time of the first row; None unless the file has times of the wall clock."""
         self._repeated, self._first_repeated = 0, 0
@@ -91,8 +104,7 @@ class SamplesTable:
 
     def line_of(self, row: int) -> int:
         """Return the line number in the file, from 1, of a row of the table."""
-        at, line = self._lines[bisect_right(self._lines, (row, 1 << 62)) - 1]
-        return line + row - at
+        return self._lines[row]
 
     def fail(self, row: int, message: str) -> DataError:
         """Return a `DataError` with a message about a row; it names file and line."""
@@ -102,12 +114,19 @@ class SamplesTable:
         return DataError(f"{self.file}, row {line}: {message}")
 
     def number(self, name: str, text: str) -> float:
-        """Convert the text of a cell to a number in the format's unit.
+        """Convert the text of a cell to a number in the format's unit; `ValueError` if it is no number.
 
         `name` is a column that has one value for each dwell.
         """
         multiply, divide, add = self.head.columns[name].scale
-        return self.dialect.number(text) * multiply / divide + add
+        return self._plain_number(text) * multiply / divide + add
+
+    def _plain_number(self, cell: str) -> float:
+        text = cell.strip().replace("−", "-")
+        text = text.translate(_SWAPPED) if self._decimal == "," else text
+        if not _NUMBER.fullmatch(text) and text.lower().lstrip("+-") not in ("nan", "inf", "infinity"):
+            raise ValueError(cell)
+        return float(text)
 
     def texts(self, name: str, rows: slice) -> Iterator[tuple[int, str]]:
         """Yield each run of equal texts in a column, within some rows, as its first row and its text.
@@ -131,6 +150,8 @@ class SamplesTable:
                 if cells is not None:
                     rows.append(cells)
                     lines.append(number)
+        if rows and not self._proved:
+            self._settle_decimal(rows, lines)
         if chunk.cut and lines and lines[-1] == chunk.first + len(chunk.lines) - 1:
             try:
                 self._values(rows[-1:], lines[-1:])
@@ -139,6 +160,24 @@ class SamplesTable:
                 self.notes.append(_cut_note(lines.pop()))
         if rows:
             self._add(rows, lines)
+
+    def _settle_decimal(self, rows: list[list[str]], lines: list[int]) -> None:
+        """Take the decimal mark from the first number that has a mark, until a number proves one."""
+        places = {c.place: name for name, c in self.head.columns.items() if name not in ("approach", "use")}
+        for row, line in zip(rows, lines, strict=True):
+            for place, name in places.items():
+                text = row[place].strip()
+                mark = "," if "," in text else "."
+                if mark not in text or _WALL_CLOCK.fullmatch(text):
+                    continue
+                if self._doubtful is None:
+                    self._decimal, self._doubtful = mark, (name, text, line)
+                if (mark == "." and self.head.delimiter == ",") or not _UNDECIDED.fullmatch(text):
+                    differs = mark != self._decimal
+                    self._decimal, self._proved = mark, True
+                    if differs:
+                        self._number(*self._doubtful)
+                    return
 
     def _cells(self, number: int, line: str) -> list[str] | None:
         """Return the cells of a row, as many as the header has; None for an empty or incomplete row.
@@ -149,7 +188,7 @@ class SamplesTable:
         width, cells = self.head.width, list[str]()
         wrong, note = "", _cut_note(number)
         try:
-            cells = self.dialect.cells(line)
+            cells = samples_header.split_cells(line, self.head.delimiter)
         except ValueError as error:
             wrong = str(error)
         else:
@@ -168,17 +207,14 @@ class SamplesTable:
         return cells[:width]
 
     def _hint(self, cells: int) -> str:
-        delimiter = self.dialect.delimiter
+        delimiter = self.head.delimiter
         if delimiter == "," and cells > self.head.width + 1:
             return "; if its numbers have decimal commas, save the file with semicolons between the cells"
         return f" (cells are separated by {samples_header.DELIMITERS.get(delimiter, repr(delimiter))}s)"
 
     def _add(self, rows: list[list[str]], lines: list[int]) -> None:
         """Add rows of cells, each with its line number, to the arrays."""
-        for k, line in enumerate(lines):
-            jumps = not k or line != lines[k - 1] + 1
-            if not self._lines or (jumps and line != self.line_of(self._rows + k)):
-                self._lines.append((self._rows + k, line))
+        self._lines.extend(lines)
         values = self._values(rows, lines)
         time = values["time_s"]
         before = np.concatenate([[self._latest_s], time[:-1]])
@@ -229,8 +265,8 @@ class SamplesTable:
         if "_" not in text:
             with suppress(ValueError):
                 plain = cells
-                if self.dialect.decimal == ",":
-                    plain = text.translate(samples_header.SWAPPED).split("\n")
+                if self._decimal == ",":
+                    plain = text.translate(_SWAPPED).split("\n")
                 values = np.fromiter(map(float, plain), dtype=np.float64, count=len(cells))
                 if (np.abs(values) <= COLUMNS[name].largest).all():
                     return values
@@ -253,9 +289,9 @@ class SamplesTable:
     def _number(self, name: str, cell: str, line: int) -> float:
         cell = cell.strip()
         try:
-            value = self.dialect.number(cell)
+            value = self._plain_number(cell)
         except ValueError:
-            other, own = (".", "comma") if self.dialect.decimal == "," else (",", "point")
+            other, own = (".", "comma") if self._decimal == "," else (",", "point")
             wrong = f"'{cell}' is not a number" if cell else "empty"
             wrong += f" in a file with decimal {own}s" if other in cell else ""
         else:
@@ -271,10 +307,19 @@ class SamplesTable:
         Raises
         ------
         DataError
-            There is no row, or the time has no unit and steps so long that they may be milliseconds.
+            There is no row, no number proves the decimal mark, or the time has no unit and steps so long
+            that they may be milliseconds.
         """
         if not len(self):
             raise DataError(f"{self.file}: the header in row {self.head.line} is followed by no sample")
+        if self._doubtful is not None and not self._proved:
+            _, cell, line = self._doubtful
+            bare, as_fraction = cell.replace(self._decimal, ""), cell.replace(",", ".")
+            raise self._fail_line(
+                line,
+                f"'{cell}' may be {as_fraction} or {bare}, and no number of the file decides it; save it"
+                " with decimal points, and with commas between the cells",
+            )
         self.notes += [note for note in (self._waiting or ())[2:] if note]
         if self._began is not None:
             self.notes.append(f"time_s is counted from {self._began.isoformat(' ')}")
@@ -311,48 +356,13 @@ def read_table(path: Path, wanted: dict[str, str]) -> SamplesTable:
         `wanted` names a column that does not exist.
     """
     head = samples_header.read_head(path, wanted)
-    table = SamplesTable(head, _with_decimal_mark(head))
+    table = SamplesTable(head)
     tell: Callable[[str], Any] = current().tell
     for chunk in samples_header.read_chunks(path, after=head.line):
         tell(f"{chunk.share:.0%}")
         table.take(chunk)
     table.finish()
     return table
-
-
-def _with_decimal_mark(head: samples_header.Head) -> samples_header.Dialect:
-    """Return the file's dialect with the decimal mark that some number proves."""
-    undecided: tuple[int, str] | None = None
-    for line, cell in _marked_cells(head):
-        if not samples_header.UNDECIDED.fullmatch(cell):
-            return replace(head.dialect, decimal="," if "," in cell else ".")
-        undecided = undecided or (line, cell)
-    if undecided is None:
-        return head.dialect
-    line, cell = undecided
-    bare, as_fraction = cell.replace(".", "").replace(",", ""), cell.replace(",", ".")
-    raise DataError(
-        f"{head.path.name}, row {line}: '{cell}' may be {as_fraction} or {bare}, and no number of the file "
-        "decides it; save it with decimal points, and with commas between the cells"
-    )
-
-
-def _marked_cells(head: samples_header.Head) -> Iterator[tuple[int, str]]:
-    """Yield the numbers with a point or a comma, which may prove a decimal mark, each with its line number.
-
-    In a file separated by commas these are only cells in lines with quotation marks.
-    """
-    places = [column.place for name, column in head.columns.items() if name not in ("approach", "use")]
-    quoted = head.dialect.delimiter == ","
-    for chunk in samples_header.read_chunks(head.path, after=head.line):
-        for number, line in enumerate(chunk.lines, chunk.first):
-            if (quoted and '"' not in line) or line.startswith(("#", '"#')):
-                continue
-            with suppress(ValueError):
-                cells = head.dialect.cells(line)
-                own = (cells[k].strip() for k in places if k < len(cells))
-                marked = (cell for cell in own if "." in cell or "," in cell)
-                yield from ((number, cell) for cell in marked if not _WALL_CLOCK.fullmatch(cell))
 
 
 MOST_DWELLS = MOST_POSITIONS
