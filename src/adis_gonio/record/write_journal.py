@@ -327,7 +327,7 @@ def _written_since(known: Sequence[Operation], endurance: int) -> str:
     after = max(saves, key=lambda one: one.number).endurance_after if saves else None
     if after in (None, endurance) or any(one.open for one in known):
         return ""
-    why = "written since" if endurance > after else "another part, or a simulated one without flash=FILE"
+    why = "written since" if endurance > after else "another part, or a new simulated one"
     return f"ENDURANCE is {endurance} and was {after} after the save: {why}"
 
 

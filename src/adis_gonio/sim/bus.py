@@ -17,7 +17,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -36,14 +35,13 @@ from adis_gonio.device.bus.host import SAFE_TIMING, UrlOptions
 from adis_gonio.device.bus.opening import BusUrl, Device
 from adis_gonio.model.effects import parse_effect
 from adis_gonio.sim.chip import SimulatedChip
-from adis_gonio.sim.memory import FlashFile
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.stage import Stage
 from adis_gonio.sim.world import World
 
 _POWERED_BEFORE_S = 0.5
 _TRIGGER_S = 2e-6
-_OPTIONS = ("seed", "day", "variant", "stream", "realtime", "effects", "flash")
+_OPTIONS = ("seed", "day", "variant", "stream", "realtime", "effects")
 
 
 class SimBus(SpiBus):
@@ -308,8 +306,8 @@ def open_from_url(url: BusUrl) -> SimBus:
     """Open a simulated bus by a URL such as `sim:?seed=1&variant=adis16354&noise_mg=4.7`.
 
     Options of the URL are `seed`, `day` (another session of the same part), `variant`, `stream` (0 or 1),
-    `realtime` (0 or 1), `effects` (of the catalogue, such as `quadratic:k2_x=2.5;cubic`), `flash` (a file
-    that stores the sensor's flash between two openings), and every name of `WorldSettings`.
+    `realtime` (0 or 1), `effects` (of the catalogue, such as `quadratic:k2_x=2.5;cubic`), and every name of
+    `WorldSettings`.
 
     Raises
     ------
@@ -321,39 +319,18 @@ def open_from_url(url: BusUrl) -> SimBus:
     if "hands" in url.options:
         raise UsageError(f"'{url.text}': only calibrate and write know hands=free; leave it out")
     options = UrlOptions(url, tuple(url.options))  # `WorldSettings.from_options` refuses unknown names
-    seed = options.number("seed", 0, 0, 2**63 - 1)
     world = World(
         WorldSettings.from_options(url.options, others=_OPTIONS),
         part=options.text("variant", "adis16354"),
-        seed=seed,
+        seed=options.number("seed", 0, 0, 2**63 - 1),
         day=options.number("day", 0, 0, 2**63 - 1),
         effects=[parse_effect(text) for text in filter(None, options.text("effects").split(";"))],
     )
     return SimBus(
         world,
-        chip=_chip(world, url.options["flash"], seed) if "flash" in url.options else None,
         stream=options.switch("stream", default=True),
         realtime=options.switch("realtime"),
         url=url.text,
-    )
-
-
-def _chip(world: World, path: str, seed: int) -> SimulatedChip:
-    """Make the simulated sensor of a world with its flash memory stored in the file `path`.
-
-    `seed` marks the file, so that the sensor of another seed is refused.
-    """
-    if not path:
-        raise UsageError("flash: name a file, such as flash=part.flash")
-    kept = FlashFile(Path(path), f"{world.variant.name}, seed {seed}")
-    flash, endurance = kept.read()
-    return SimulatedChip(
-        world,
-        world.variant,
-        start_s=-_POWERED_BEFORE_S,
-        flash=flash,
-        endurance=endurance,
-        saved=kept.write,
     )
 
 

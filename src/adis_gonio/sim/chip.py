@@ -40,7 +40,7 @@ Not simulated
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from enum import Enum, auto
 from typing import Literal
 
@@ -199,7 +199,6 @@ class SimulatedChip:
         start_s: float = 0.0,
         flash: Mapping[str, int] | None = None,
         endurance: int = 0,
-        saved: Callable[[Mapping[str, int], int], None] | None = None,
         floating_word: int = 0xFFFF,
         self_test_failures: Sequence[str] = (),
         data_ready_pulse_s: float = 50e-6,
@@ -220,7 +219,7 @@ class SimulatedChip:
         self._pulse_s = data_ready_pulse_s
         self._update_edge = update_edge
         self._falling = FALLING_BITS if status_falls else 0
-        self._memory = Memory(flash, endurance, saved)
+        self._memory = Memory(flash, endurance)
         self._electronics: Electronics = electronics or getattr(surroundings, "electronics", None) or IDEAL
         self._sampler = SignalChain(self.variant, self._memory, self._electronics)
         self._k = self._updates = self._status = self._standing = self._dac = 0

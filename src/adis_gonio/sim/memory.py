@@ -1,18 +1,14 @@
 """The registers of the simulated chip: words, flash copies, byte writes, and limits of the SPI port.
 
-The flash of a simulated sensor can be kept in a file, so that it outlives the process. The letters A to D
-after a figure are its confidence (see `docs/glossary.md`).
+The letters A to D after a figure are its confidence (see `docs/glossary.md`).
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.base.output import write_text
 from adis_gonio.device.sensor.registers import (
     BY_ADDRESS,
     BY_NAME,
@@ -95,8 +91,6 @@ class Memory:
         Words by register name that were saved before power-on; all other registers have their defaults.
     endurance : int
         Number of flash updates so far.
-    saved : callable or None
-        Called with the flash's words and ENDURANCE after each flash update; None for no call.
 
     Raises
     ------
@@ -107,13 +101,7 @@ class Memory:
     changed: Callable[[], None] = staticmethod(lambda: None)
     """Function called after a register has changed in any way, so that the chip acts on the new content."""
 
-    def __init__(
-        self,
-        flash: Mapping[str, int] | None = None,
-        endurance: int = 0,
-        saved: Callable[[Mapping[str, int], int], None] | None = None,
-    ) -> None:
-        self._saved = saved
+    def __init__(self, flash: Mapping[str, int] | None = None, endurance: int = 0) -> None:
         self._flash = {row.name: row.default & row.flash_mask for row in REGISTERS if row.flash_mask}
         for name, word in (flash or {}).items():
             row = register(name)
@@ -171,55 +159,3 @@ class Memory:
         for name in self._flash:
             self._flash[name] = self._words[name] & BY_NAME[name].flash_mask
         self._words["ENDURANCE"] = (self._words["ENDURANCE"] + 1) % ENDURANCE_WRAP
-        if self._saved is not None:
-            self._saved(self._flash, self._words["ENDURANCE"])
-
-
-@dataclass(frozen=True)
-class FlashFile:
-    """JSON file that stores the flash contents and ENDURANCE, created by the first flash update.
-
-    Attributes
-    ----------
-    path : Path
-        The JSON file.
-    part : str
-        Variant and seed of the sensor; the file of another sensor is refused.
-    """
-
-    path: Path
-    part: str
-
-    def read(self) -> tuple[dict[str, int], int]:
-        """Return the saved register contents by name, and ENDURANCE.
-
-        Without a file these are the contents of a new sensor: nothing saved, and 0.
-
-        Raises
-        ------
-        UsageError
-            The file is no flash file, is damaged, or belongs to another sensor.
-        """
-        try:
-            document = json.loads(self.path.read_text(encoding="utf-8"))
-            owner = str(document["part"])
-            words = {str(name): int(word) for name, word in document["flash"].items()}
-            endurance = int(document["endurance"])
-        except FileNotFoundError:
-            return {}, 0
-        except OSError as error:
-            raise UsageError(f"flash: {self.path}: cannot be read: {error.strerror or error}") from error
-        except (ValueError, KeyError, TypeError, AttributeError):
-            raise UsageError(f"flash: {self.path}: is no flash of a simulated part; name another") from None
-        if owner != self.part:
-            raise UsageError(
-                f"flash: {self.path}: belongs to {owner}, this is {self.part}; name another file"
-            )
-        if not 0 <= endurance < ENDURANCE_WRAP:
-            raise UsageError(f"flash: {self.path}: its ENDURANCE {endurance} is not possible; name another")
-        return words, endurance
-
-    def write(self, words: Mapping[str, int], endurance: int) -> None:
-        """Save register words by name and ENDURANCE to the file, completely or not at all."""
-        document = {"part": self.part, "endurance": endurance, "flash": dict(words)}
-        write_text(self.path, json.dumps(document, indent=2) + "\n")

@@ -191,8 +191,7 @@ def test_a_bring_up_is_repeated_from_a_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(["bringup", "record:run.rec:sim:?seed=1&flash=part.flash", "-o", "a.html", *options]) == 0
-    Path("part.flash").unlink(missing_ok=True)
+    assert main(["bringup", "record:run.rec:sim:?seed=1", "-o", "a.html", *options]) == 0
     assert main(["bringup", "replay:run.rec?mode=strict", "-o", "b.html", *options]) == 0
     assert Path("b.json").read_bytes() == Path("a.json").read_bytes()
     assert main(["frames", "run.rec", "--errors"]) == 0
