@@ -831,7 +831,7 @@ def _fitted(session: Session) -> FreeTurnResult:
     each = []
     for k, ((name, kind), (share, dof)) in enumerate(zip(CAUSES, solution.parts, strict=True)):
         moves = independent_changes(gradient @ share @ gradient.T).T
-        each.append(Source(name, kind, "normal", None, "1", moves, dof=dof, estimate=k))
+        each.append(Source(name, kind, "normal", None, moves, dof=dof, estimate=k, unit="1"))
     sources = Sources(tuple(each))
     own = [replace(one, gradient=row) for one, row in zip(outputs, np.eye(len(outputs)), strict=True)]
     parameters = estimates(own, sources)

@@ -49,6 +49,9 @@ LINKS = "gyro links"
 gyros.
 """
 SOURCES = (REPEATABILITY, FLICKER, FIXTURE, GRAVITY, QUANTIZATION, TEMPERATURE, MODEL)
+_STATISTICAL: tuple[Kind, str] = ("A", "Student")
+_STATED: tuple[Kind, str] = ("B", "normal")
+"""Type and distribution of a source that is estimated from the session, and of one that is stated."""
 
 GRAVITY_HALF_MPS2 = 0.027
 """Half the range of gravity on the surface of the Earth (9.780 to 9.834 m/s²), in which local gravity has a
@@ -75,8 +78,6 @@ class Source:
         `normal`, `Student` or `rectangular`.
     u : float or None
         Standard uncertainty of the source itself, in `unit`, rms over dwells and axes; None if unknown.
-    unit : str
-        Unit of `u`.
     moves : (p, k) float
         Change of the parameters, in natural units, by one standard uncertainty of each of the k independent
         components of the source.
@@ -98,13 +99,14 @@ class Source:
     further_mg : (axes, k) float or None
         Direct effect of the components on a further reading, in addition to their effect on the parameters;
         None if there is none.
+    unit : str
+        Unit of `u`.
     """
 
     name: str
     kind: Kind
     distribution: str
     u: float | None
-    unit: str
     moves: Floats
     note: str = ""
     dof: Floats | float = math.inf
@@ -113,6 +115,7 @@ class Source:
     by_definition: bool = False
     acts_mg: Floats | None = None
     further_mg: Floats | None = None
+    unit: str = "mg"
 
     def parts(self, gradient: Floats, reading: Floats | None = None) -> list[tuple[int, float, float]]:
         """Return the contributions of the source to the mean variance of m values, one for each component.
@@ -316,15 +319,9 @@ def _links(fit: Fit, rotation: Floats) -> Source:
         [axes * np.sqrt(np.maximum(size, 0.0)), np.einsum("pma,maq->pq", rotation, links.modes_rad)], axis=1
     )
     spread = links.own_rad2 + links.modes_rad @ links.modes_rad.transpose(0, 2, 1)
-    return Source(
-        LINKS,
-        "B",
-        "normal",
-        math.degrees(math.sqrt(float(np.trace(spread.mean(axis=0))) / 3)),
-        "deg",
-        moves,
-        "turns between the poses: noise of the gyros and uncertainty of their parameters",
-    )
+    u = math.degrees(math.sqrt(float(np.trace(spread.mean(axis=0))) / 3))
+    note = "turns between the poses: noise of the gyros and uncertainty of their parameters"
+    return Source(LINKS, *_STATED, u, moves, note, unit="deg")
 
 
 def _each(response: Floats, roots: Floats) -> Floats:
@@ -382,19 +379,10 @@ def repeatability_of(data: Readings, noise: NoiseAssumptions) -> tuple[Floats, F
 def _repeatability(data: Readings, noise: NoiseAssumptions, response: Floats) -> Source:
     roots, dof, estimate = repeatability_of(data, noise)
     stated = data.noise_known and bool(np.isinf(data.dof).all())
-    mean = _own(data, noise).mean(axis=0)
-    return Source(
-        REPEATABILITY,
-        "B" if stated else "A",
-        "normal" if stated else "Student",
-        float(np.sqrt(np.trace(mean) / data.axes)),
-        "mg",
-        _each(response, roots),
-        "stated (reading_u_mg)" if stated else "",
-        dof.ravel(),
-        estimate.ravel(),
-        mean,
-    )
+    mean, moves = _own(data, noise).mean(axis=0), _each(response, roots)
+    u = float(np.sqrt(np.trace(mean) / data.axes))
+    evaluated, note = (_STATED, "stated (reading_u_mg)") if stated else (_STATISTICAL, "")
+    return Source(REPEATABILITY, *evaluated, u, moves, note, dof.ravel(), estimate.ravel(), mean)
 
 
 def _flicker(data: Readings, response: Floats) -> Source:
@@ -407,17 +395,12 @@ def _flicker(data: Readings, response: Floats) -> Source:
         noise = data.slow[:, :, : data.slow.shape[2] - data.stage_modes]
         moves.append(np.einsum("pna,nak->pk", response, noise))
         variance = variance + (noise**2).sum(axis=2).mean(axis=0)
-    shown = "shown by the dwells" if data.flicker_shown else "figure of the part"
-    return Source(
-        FLICKER,
-        "A" if data.flicker_shown else "B",
-        "normal",
-        float(np.sqrt(variance.mean())),
-        "mg",
-        np.concatenate(moves, axis=1),
-        shown if variance.any() else "none shown, no figure of the part",
-        reading_mg2=np.diag(variance),
-    )
+    kind: Kind = "A" if data.flicker_shown else "B"
+    note = "none shown, no figure of the part"
+    if variance.any():
+        note = "shown by the dwells" if data.flicker_shown else "figure of the part"
+    u, joined = float(np.sqrt(variance.mean())), np.concatenate(moves, axis=1)
+    return Source(FLICKER, kind, "normal", u, joined, note, reading_mg2=np.diag(variance))
 
 
 def _fixture(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats) -> Source:
@@ -441,17 +424,10 @@ def _fixture(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats
         note = "estimated from the residual" if estimated else "not stated: angles count as exact"
     if certified.shape[1]:
         note = "; ".join(filter(None, ["errors of the stage by its certificate", note]))
-    return Source(
-        FIXTURE,
-        "A" if estimated else "B",
-        "Student" if estimated else "normal",
-        None if free else math.degrees(u_rad),
-        "deg",
-        np.concatenate([moves, certified], axis=1),
-        note,
-        np.repeat([noise.sigma_dof, np.inf], [moves.shape[1], certified.shape[1]]),
-        _FIXTURE,
-    )
+    dof = np.repeat([noise.sigma_dof, np.inf], [moves.shape[1], certified.shape[1]])
+    u, joined = None if free else math.degrees(u_rad), np.concatenate([moves, certified], axis=1)
+    evaluated = _STATISTICAL if estimated else _STATED
+    return Source(FIXTURE, *evaluated, u, joined, note, dof, _FIXTURE, unit="deg")
 
 
 def _gravity(data: Readings, fit: Fit, parameters: int) -> Source:
@@ -465,33 +441,18 @@ def _gravity(data: Readings, fit: Fit, parameters: int) -> Source:
     for k, name in enumerate(fit.data.model.names):
         if name.startswith("scale"):
             moves[k] = -float(base[k]) * u * 1000 / (data.gravity_mg * STANDARD_GRAVITY_MPS2)
-    return Source(
-        GRAVITY,
-        "B",
-        "rectangular",
-        u,
-        "m/s²",
-        moves,
-        "all gains move alike: ratios and angles do not depend on it",
-        by_definition=True,
-    )
+    note = "all gains move alike: ratios and angles do not depend on it"
+    return Source(GRAVITY, "B", "rectangular", u, moves, note, by_definition=True, unit="m/s²")
 
 
 def _quantization(data: Readings, response: Floats) -> Source:
     variance = data.quantization
     if variance is None:
         variance = np.zeros(data.mean.shape)
-    moves = _each(response, _diagonal(np.sqrt(variance)))
-    return Source(
-        QUANTIZATION,
-        "B",
-        "rectangular",
-        float(np.sqrt(variance.mean())),
-        "mg",
-        moves,
-        "" if variance.any() else "the noise dithers it, or readings are averages",
-        reading_mg2=np.diag(variance.mean(axis=0)),
-    )
+    moves, u = _each(response, _diagonal(np.sqrt(variance))), float(np.sqrt(variance.mean()))
+    note = "" if variance.any() else "the noise dithers it, or readings are averages"
+    own = np.diag(variance.mean(axis=0))
+    return Source(QUANTIZATION, "B", "rectangular", u, moves, note, reading_mg2=own)
 
 
 def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
@@ -520,16 +481,7 @@ def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
         moves = np.einsum("pna,nab->pb", response, acts)
         u = float(np.sqrt((spread**2).mean()))
         note = f"dwells at {format_span(temperature.min(), temperature.max(), 1, '°C')}"
-    return Source(
-        TEMPERATURE,
-        "B",
-        "normal",
-        u,
-        "mg/°C",
-        moves,
-        note,
-        acts_mg=acts,
-    )
+    return Source(TEMPERATURE, *_STATED, u, moves, note, acts_mg=acts, unit="mg/°C")
 
 
 def _model(
@@ -579,22 +531,19 @@ def _model(
     u = math.hypot(u, figure if no_bias else 0.0, math.sqrt(float((others**2).sum(axis=2).mean())))
     statistical = noise.extra_mg > 0 and not acts.any()
     stated = figures is not None or not acts.shape[2]
+    widths = [extra.shape[1], acts.shape[2]]
     return Source(
         MODEL,
-        "A" if statistical else "B",
-        "Student" if statistical else "normal",
+        *(_STATISTICAL if statistical else _STATED),
         u if stated or noise.extra_mg else None,
-        "mg",
         np.concatenate([extra, blind], axis=1),
         "; ".join(notes) or "the residual shows no more than the noise",
-        np.repeat([noise.dof, np.inf], [extra.shape[1], acts.shape[2]]),
-        np.repeat([_RESIDUAL, _POOLED], [extra.shape[1], acts.shape[2]]),
+        np.repeat([noise.dof, np.inf], widths),
+        np.repeat([_RESIDUAL, _POOLED], widths),
         noise.extra_mg**2 * np.eye(axes),
         acts_mg=acts if acts.any() else None,
         # A further reading has the same biases; the influence of skews and effects depends on its pose.
-        further_mg=np.concatenate(
-            [np.zeros((axes, extra.shape[1])), biases[0], np.zeros((axes, others.shape[2]))], axis=1
-        ),
+        further_mg=np.pad(biases[0], ((0, 0), (extra.shape[1], others.shape[2]))),
     )
 
 
