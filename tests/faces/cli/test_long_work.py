@@ -1,6 +1,5 @@
 """Long work: what it says meanwhile, Ctrl-C in the midst of it, outputs that cannot be written."""
 
-import contextlib
 import io
 import itertools
 import os
@@ -16,7 +15,6 @@ from rich.console import Console
 
 from adis_gonio.base.budget import Budget, current, with_progress, within
 from adis_gonio.faces.cli import main, show
-from adis_gonio.faces.cli.terminal import RepeatedInterrupt
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
 from adis_gonio.tracing.trace import trace
@@ -133,58 +131,6 @@ def test_a_trace_tells_stages_and_the_share_of_the_longest(tmp_path):
 
 
 # Ctrl-C
-
-
-def wait():
-    """Go on until something breaks in; the test's time-out ends it where nothing does."""
-    while True:
-        time.sleep(0.01)
-
-
-def test_ctrl_c_that_was_swallowed_comes_again():
-    with RepeatedInterrupt():
-        with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)
-        with pytest.raises(KeyboardInterrupt):
-            wait()
-
-
-def test_afterwards_nothing_comes_any_more(monkeypatch):
-    monkeypatch.setattr(RepeatedInterrupt, "AGAIN_S", 0.01)
-    before = signal.getsignal(signal.SIGINT)
-    with pytest.raises(KeyboardInterrupt), RepeatedInterrupt():
-        signal.raise_signal(signal.SIGINT)
-    time.sleep(0.05)
-    assert signal.getsignal(signal.SIGINT) is before
-
-
-def test_where_ctrl_c_is_ignored_it_stays_ignored():
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        with RepeatedInterrupt():
-            signal.raise_signal(signal.SIGINT)
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-@pytest.mark.parametrize("command", ["trace", "fit", "report"])
-def test_a_command_ends_with_130_though_its_first_ctrl_c_was_lost(
-    capsys, monkeypatch, two, tmp_path, command
-):
-    def deaf(*_arguments, **_options):
-        with contextlib.suppress(KeyboardInterrupt):  # as a compiled module does that is being imported
-            signal.raise_signal(signal.SIGINT)
-        wait()
-
-    monkeypatch.setattr("adis_gonio.tracing.trace.trace", deaf)
-    monkeypatch.setattr("adis_gonio.fitting.fit", deaf)
-    monkeypatch.setattr("adis_gonio.faces.api.fit", deaf)
-    page = tmp_path / "page.html"
-    assert main([command, str(two), *(["-o", str(page)] if command == "report" else [])]) == 130
-    said = capsys.readouterr().err
-    assert said.endswith("adis-gonio: stopped by the operator; what was recorded is kept\n")
-    assert "Traceback" not in said
-    assert not page.exists()
 
 
 @pytest.mark.parametrize("command", ["trace", "report"])

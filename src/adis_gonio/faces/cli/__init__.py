@@ -11,7 +11,7 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from pathlib import Path
 
 import click
@@ -19,7 +19,7 @@ import click
 from adis_gonio.base import __version__
 from adis_gonio.base.errors import AdisGonioError, BusTimeoutError, ChipError, ProtocolError
 from adis_gonio.faces.cli.command_groups import Home, LazyGroup
-from adis_gonio.faces.cli.terminal import RepeatedInterrupt, format_message, replace_missing_letters
+from adis_gonio.faces.cli.terminal import format_message, replace_missing_letters
 
 # A command's module is imported when the command is called, so that `adis-gonio --help` answers at once.
 GROUPS = {
@@ -57,12 +57,6 @@ GROUPS = {
 }
 COMMANDS = {name: home for group in GROUPS.values() for name, home in group.items()}
 
-_COMPUTING = frozenset({"fit", "trace", "report", "export", "paper", "plan", "fleet", "allan"})
-"""Names of the commands that only compute.
-
-Ctrl-C can end them anywhere, because they have nothing to undo.
-"""
-
 
 @click.group(cls=LazyGroup, groups=GROUPS, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="adis-gonio")
@@ -80,10 +74,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     `arguments` are the words after the program's name; None takes the arguments of the process.
     """
     words = sys.argv[1:] if arguments is None else arguments
-    computing = words[:1] and words[0] in _COMPUTING
     try:
-        with RepeatedInterrupt() if computing else nullcontext():
-            status = app.main(args=arguments, prog_name="adis-gonio", standalone_mode=False)
+        status = app.main(args=arguments, prog_name="adis-gonio", standalone_mode=False)
         sys.stdout.flush()
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message(), err=True)

@@ -6,7 +6,6 @@ imports neither numpy nor rich, so that `adis-gonio --help` answers at once.
 
 from __future__ import annotations
 
-import _thread
 import codecs
 import signal
 import sys
@@ -14,7 +13,7 @@ import threading
 import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import TypeVar
 
 from adis_gonio.base.errors import one_line
@@ -140,51 +139,3 @@ class Interrupt:
         again, self.asked = self.asked, True
         if again or self._waiting:
             raise KeyboardInterrupt
-
-
-class RepeatedInterrupt:
-    """Context that after Ctrl-C raises `KeyboardInterrupt` every `AGAIN_S` seconds until the block ends.
-
-    A single exception may be lost, because some code discards it, for example a destructor or the import of
-    a compiled module. The work would then run to its end. Use this context only for work that needs no
-    cleanup, because the next exception would interrupt the cleanup.
-    """
-
-    AGAIN_S = 0.5
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._inside = False
-        self._timer: threading.Timer | None = None
-
-    def __enter__(self) -> RepeatedInterrupt:
-        if threading.current_thread() is threading.main_thread():
-            self._before = signal.getsignal(signal.SIGINT)
-            if self._before is signal.default_int_handler:
-                self._inside = True
-                signal.signal(signal.SIGINT, self._raise)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        entered, self._inside = self._inside, False
-        with self._lock:
-            pass  # wait until a running `_again` has ended; later calls find `_inside` false
-        if entered:
-            signal.signal(signal.SIGINT, self._before)
-        if self._timer is not None:
-            self._timer.cancel()
-
-    def _raise(self, number: int, frame: FrameType | None) -> None:
-        if not self._inside:
-            return
-        self._timer = threading.Timer(self.AGAIN_S, self._again)
-        self._timer.daemon = True
-        self._timer.start()
-        raise KeyboardInterrupt
-
-    def _again(self) -> None:
-        with self._lock:
-            if self._inside:
-                _thread.interrupt_main()
