@@ -194,7 +194,7 @@ def test_a_bring_up_is_repeated_from_a_recording(
     assert main(["bringup", "record:run.rec:sim:?seed=1", "-o", "a.html", *options]) == 0
     assert main(["bringup", "replay:run.rec?mode=strict", "-o", "b.html", *options]) == 0
     assert Path("b.json").read_bytes() == Path("a.json").read_bytes()
-    assert main(["frames", "run.rec", "--errors"]) == 0
+    assert main(["frames", "run.rec"]) == 0
 
 
 def test_expected_frames_name_the_line_of_the_test() -> None:

@@ -67,15 +67,14 @@ def test_the_log_finds_frames_that_break_a_rule_of_timing(tmp_path: Path) -> Non
     assert not problems["ZACCL_OUT"]
 
 
-def test_the_command_lists_and_filters_frames(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_lists_frames(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = str(recorded)
-    assert main(["frames", path, "--register", "SMPL_PRD"]) == 0
+    assert main(["frames", path]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines
-    assert all("SMPL_PRD" in line for line in lines)
-    assert max(map(len, lines)) <= 80
-    assert main(["frames", path, "--errors"]) == 0
-    assert capsys.readouterr().out == ""
+    sample_rate = [line for line in lines if "SMPL_PRD" in line]
+    assert sample_rate
+    assert max(map(len, sample_rate)) <= 80
+    assert not [line for line in lines if "!" in line]
     Path(path).write_bytes(Path(path).read_bytes()[:-3])
     assert main(["frames", path]) == 1
     assert path in capsys.readouterr().err

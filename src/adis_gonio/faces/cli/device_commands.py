@@ -16,7 +16,7 @@ from adis_gonio.device.bus import find_devices
 from adis_gonio.device.bus.host import udev_rules
 from adis_gonio.device.sensor import REGISTERS, Adis16354, Register, open_sensor
 from adis_gonio.device.sensor.driver import MARK
-from adis_gonio.device.sensor.registers import CONFIDENCES, Kind, register, registers
+from adis_gonio.device.sensor.registers import CONFIDENCES, Kind, register
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import console, print_json, print_table, say
 
@@ -132,24 +132,10 @@ def serve_command(
 
 @option.command("frames")
 @click.argument("recording", type=option.FILE, metavar="RECORDING")
-@click.option("--register", "names", metavar="NAME,…", help="List only these registers.")
-@click.option("--from", "from_s", type=float, metavar="SECONDS", help="List nothing before this time.")
-@click.option("--to", "to_s", type=float, metavar="SECONDS", help="List nothing from this time on.")
-@option.flag("--errors", help="List only errors and frames that break a rule of timing.")
 @option.flag("--scans", help="List every word of a stream, not one row for each block.")
 @option.variant
 @option.json
-def frames_command(
-    *,
-    recording: Path,
-    names: str | None,
-    from_s: float | None,
-    to_s: float | None,
-    errors: bool,
-    scans: bool,
-    variant: str,
-    as_json: bool,
-) -> int:
+def frames_command(*, recording: Path, scans: bool, variant: str, as_json: bool) -> int:
     """List the frames of a RECORDING with register names and decoded words.
 
     RECORDING is a file of record: or the VCD file of a logic analyser on CS, SCLK, MOSI and MISO, such as
@@ -158,29 +144,22 @@ def frames_command(
     Put record:FILE: before the URL of any command to record it: record:run.rec:serial:/dev/ttyACM0. A URL
     replay:FILE plays it back to any command. A row has the number of the record, the time on the clock of
     the bus, the register, the frame, the word that answers it, and its value. A row with ! has an error, or
-    a frame that breaks a rule of timing of the data sheet. The exit status is 1 if there is such a row, or
-    if the recording is damaged.
+    a frame that breaks a rule of timing of the data sheet; grep finds it. The exit status is 1 if there is
+    such a row, or if the recording is damaged.
     """
     from adis_gonio.device.bus.capture import LogicCapture
     from adis_gonio.device.bus.recording import BusRecording
     from adis_gonio.device.sensor.frame_log import FrameLog
     from adis_gonio.device.sensor.registers import variant as variant_of
 
-    wanted = {row.name for row in registers(names.split(","))} if names else None
     capture = recording.suffix.lower() == ".vcd"
     source = LogicCapture(recording) if capture else BusRecording(recording)
     problems, listed = 0, []
     for row in FrameLog(variant_of(variant), scans=scans).rows(source):
         problems += bool(row.problem)
-        chosen = (
-            (wanted is None or row.register.removesuffix("+1") in wanted)
-            and (from_s is None or row.time_s >= from_s)
-            and (to_s is None or row.time_s < to_s)
-            and (row.problem or not errors)
-        )
-        if chosen and as_json:
+        if as_json:
             listed.append(row.as_dict())
-        elif chosen:
+        else:
             frame, word = (f"{x:04X}" if x is not None else "    " for x in (row.frame, row.word))
             line = f"{row.record:6} {row.time_s:12.6f} {row.action:5} {row.register:10} {frame} {word}"
             problem = f"  ! {row.problem}" if row.problem else ""
