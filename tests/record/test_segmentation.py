@@ -1,7 +1,6 @@
 """Dwells of a long recording, in memory that hardly grows with it."""
 
 import tracemalloc
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -38,7 +37,6 @@ def plain(_, accel, gyro):
     still = ((spread <= 4 * np.array(noise)) & (spread >= 0.1 * np.array(noise))).all(axis=1)
     turning = np.lib.stride_tricks.sliding_window_view(gyro, window, axis=0).std(axis=-1)
     still &= (turning <= 10 * np.median(turning[still], axis=0)).all(axis=1)
-    means = np.lib.stride_tricks.sliding_window_view(accel, window, axis=0).mean(axis=-1)
     found, k = [], 0
     while k < len(still):
         if not still[k]:
@@ -49,17 +47,7 @@ def plain(_, accel, gyro):
             end += 1
         a, b = k + trim, end - 1 + window - trim
         k = end
-        steps = {
-            row: max(abs(means[row] - means[row - window]) / noise)
-            for row in range(a + window, b - window + 1)
-        }
-        cuts = []
-        while steps and max(steps.values()) > 4:
-            cut = max(steps, key=steps.get)
-            cuts.append(cut)
-            steps = {row: s for row, s in steps.items() if not cut - window <= row < cut + window}
-        edges = [a, *sorted(cuts), b]
-        found += [slice(x, y) for x, y in pairwise(edges) if y - x >= least]
+        found += [slice(a, b)] if b - a >= least else []
     return found
 
 

@@ -93,13 +93,17 @@ def test_data_that_never_change_are_refused():
         dwells_of(t, np.zeros((1000, 3)))
 
 
-def test_a_slip_within_a_rest_splits_it():
+def test_a_slip_within_a_rest_splits_it_if_a_window_shows_it():
     rng = np.random.default_rng(6)
     t, accel, _, _ = recording(rng, [10, 10], noise=1.0)
-    # So slow and small that no window's deviation shows it, but the mean moves by 12 noises.
-    accel[:, 1] += np.interp(t, [0, 4.5, 5.3, 10], [0, 0, 12.0, 12.0])
-    found = dwells_of(t, accel)
-    assert len([rows for rows in found if t[rows.start] < 10]) == 2
+    for length_s, parts in (
+        (0.02, 2),
+        (0.8, 1),
+    ):  # so slow and small that no window shows it: for the trace
+        slipped = accel.copy()
+        slipped[:, 1] += np.interp(t, [0, 4.5, 4.5 + length_s, 10], [0, 0, 12.0, 12.0])
+        found = dwells_of(t, slipped)
+        assert len([rows for rows in found if t[rows.start] < 10]) == parts
 
 
 def test_a_gyro_shows_a_turn_that_gravity_does_not():

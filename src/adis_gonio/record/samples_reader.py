@@ -546,11 +546,10 @@ def _declared(
         gaps = [_stated(table, name, slice(a, b)) for a, b in zip(edges, ends, strict=True)]
         # If values were noted on the last row of each dwell, they would all go to the next dwell.
         before = bool(gaps[0]) or not gaps[-1] or not slices or bool(inside[0])
-        count, last = 0, Texts()
+        count = 0
         for k, (rows, texts) in enumerate(zip(slices, inside, strict=True)):
             if not texts and before:
-                # Two dwells without a row between them are parts of one dwell that was split at a step.
-                texts = last = gaps[k][-1:] or (last if rows.start == edges[k] else [])
+                texts = gaps[k][-1:]
                 count += bool(texts)
             elif texts and name not in filled and any(not text for _, text in table.texts(name, rows)):
                 filled.append(name)

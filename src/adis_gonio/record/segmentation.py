@@ -9,7 +9,7 @@ far more than the noise of its gyros, which does no harm. The limit of a gyro's 
 therefore ten times its median in windows in which the accelerations are still.
 
 Every run of still windows is trimmed by `TRIM_S` at both ends, which the hand may disturb, and kept if it
-lasts at least `LEAST_S`. A run is split at steps of its mean (a slip, or a slow turn).
+lasts at least `LEAST_S`. A slip within a run is not cut: the trace finds steps within a dwell.
 
 Standard deviations are computed a block of rows at a time, so that memory is needed for one block only.
 """
@@ -19,7 +19,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,15 +85,8 @@ def segment_with_notes(
     noise = np.array([_own_noise(spread) for spread in _spreads(whole.deviations(window), axes)])
     limits = limits_from_noise(noise, window, whole.quantum[:axes])
     still, flat = _runs(whole, limits)
-    # An axis that never changes has the limit 0: avoid a division by zero.
-    unit = np.maximum(limits.upper / UPPER, 1e-300)
-    runs = [(first + trim, last + window - trim) for first, last in still]
-    rows, jump = _steps(accel, window, unit, [run for run in runs if run[1] - run[0] >= 2 * least])
-    slices = []
-    for start, stop in runs:
-        inside = (rows >= start) & (rows + 2 * window <= stop)
-        edges = [start, *_cuts(rows[inside], jump[inside], window), stop]
-        slices += [slice(a, b) for a, b in pairwise(edges) if b - a >= least]
+    runs = [slice(first + trim, last + window - trim) for first, last in still]
+    slices = [run for run in runs if run.stop - run.start >= least]
     scatter = ", ".join(f"{value:.3g}" for value in noise)
     notes = [
         f"{counted(len(slices), 'dwell')} found by stillness (window {window * period:.3g} s, noise"
@@ -283,46 +275,6 @@ Runs = list[tuple[int, int]]
 def _runs_of(flags: list[Flags]) -> Runs:
     edges = np.flatnonzero(np.diff(np.concatenate(flags), prepend=False, append=False)).tolist()
     return [(first, after - 1) for first, after in zip(edges[::2], edges[1::2], strict=True)]
-
-
-def _steps(accel: Floats, window: int, unit: Floats, runs: Runs) -> tuple[NDArray[np.int64], Floats]:
-    """Return the rows (m,) at which the mean changes between adjacent windows, and the changes (m,).
-
-    A row is the first of two adjacent windows of `window` rows. The change is the difference of their means
-    in units of the noise `unit` (axes,), the largest over the axes; changes up to `UPPER` are left out.
-    `runs` are the first and last rows of the parts of the recording to search.
-    """
-    found = [(np.zeros(0, dtype=np.int64), np.zeros(0))]
-    for row, part in _blocks([accel], 2 * window - 1) if runs else ():
-        if not any(start < row + len(part) and stop > row for start, stop in runs):
-            continue
-        sums = np.cumsum((part - part[0]) / unit, axis=0)
-        sums = np.concatenate([np.zeros((1, len(unit))), sums])
-        means = (sums[window:] - sums[:-window]) / window
-        # Difference of the means of adjacent windows, the largest over the axes.
-        jump = np.abs(means[window:] - means[:-window]).max(axis=1)
-        rows = np.concatenate(
-            [np.arange(max(a - row, 0), max(min(b - row, len(jump)), 0)) for a, b in runs]
-        )
-        rows = rows[jump[rows] > UPPER]
-        found.append((row + rows, jump[rows]))
-    rows, jumps = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return rows, jumps
-
-
-def _cuts(rows: NDArray[np.int64], jump: Floats, window: int) -> list[int]:
-    """Return the rows at which a dwell is split, in ascending order.
-
-    `rows` (m,) and `jump` (m,) are the rows and changes of the mean that `_steps` found in the dwell. The
-    largest change is taken first; further cuts are at least `window` rows away from it.
-    """
-    cuts = []
-    while rows.size:
-        k = int(rows[jump.argmax()])
-        cuts.append(k + window)
-        far = (rows < k - window) | (rows >= k + window)
-        rows, jump = rows[far], jump[far]
-    return sorted(cuts)
 
 
 _HALF_TURN = math.pi
