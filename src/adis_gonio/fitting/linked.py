@@ -14,10 +14,20 @@ rotation has these parts:
 Two neighbouring links share the dwell between them. Links that are farther apart count as independent,
 because slow noise cancels in the zero rate minus the mean of its neighbours.
 
-Links and the length of gravity determine the parameters together. Links that disagree
-with gravity raise χ² of the fit; the rise is tested with the degrees of freedom that the links add. If it
-is above the 99.9 % quantile, the link that disagrees most is removed and the test is repeated. If more than
-a quarter of the links would be removed, or no link remains, no link is used and the fit uses gravity alone.
+The rotation over a turn (`Leg.attitude`) needs the attitude at each sample. A direction u fixed in space
+moves backwards in the part: u̇ = −ω × u. The rate between two samples is taken as their mean, and the
+rotation by this rate is exact, so u(t₁) = Φ(t₁, t₀) u(t₀), where Φ is a product of rotations. A small error
+δω of the rates turns the result by ε, u(t₁) → u(t₁) + ε × u(t₁), with
+
+    ε = −∫ Φ(t₁, t) δω(t) dt.
+
+This is linear in all parameters of the gyros: readings m, zero rate z, gains and directions A and
+asymmetry a give ω = A⁻¹ (m − z − a |m − z|), hence ε = ∫ Φ(t₁, t) A⁻¹ (δA ω + δz + δa |m − z|) dt.
+
+Links and the length of gravity determine the parameters together. Links that disagree with gravity raise χ²
+of the fit; the rise is tested with the degrees of freedom that the links add. If it is above the 99.9 %
+quantile, the link that disagrees most is removed and the test is repeated. If more than a quarter of the
+links would be removed, or no link remains, no link is used and the fit uses gravity alone.
 """
 
 from __future__ import annotations
@@ -26,12 +36,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats, central_differences
+from adis_gonio.base.arrays import Floats, central_differences, rotation_matrices
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.uncertainty import LINK_REFUSED
@@ -59,6 +70,9 @@ SHEET_ASYMMETRY = 0.002
 UNKNOWN_GAIN, UNKNOWN_MISALIGNMENT_DEG, UNKNOWN_G_DPS = 0.05, 2.0, 0.1
 """Standard uncertainties of gain, misalignment and g-sensitivity (°/s/g) of gyros without a data sheet:
 estimates (D)."""
+PARAMETERS = 21
+"""Number of parameters of three gyros: gains and directions A (9, row by row), g-sensitivity (9, row by
+row) in °/s/g, asymmetry of the gains (3)."""
 _LEAST_DRIFTING = 7
 """Fewest dwells for a drift: zero rate, drift and three g-sensitivities leave two degrees of freedom."""
 _NAMES = (
@@ -101,7 +115,7 @@ class GyroPrior:
         as a whole against the triad of the accelerometers, because the direction of each triad in the
         package is uncertain by the same limit.
         """
-        values = np.concatenate([np.eye(3).ravel(), np.zeros(turn_integration.PARAMETERS - 9)])
+        values = np.concatenate([np.eye(3).ravel(), np.zeros(PARAMETERS - 9)])
         gain, per_g = UNKNOWN_GAIN, UNKNOWN_G_DPS
         misalignment = turned = math.radians(UNKNOWN_MISALIGNMENT_DEG)
         if sensor in VARIANTS:
@@ -116,7 +130,7 @@ class GyroPrior:
         )
         for i, j in ((0, 1), (0, 2), (1, 2)):
             # A small rotation in the plane of axes i and j changes two elements of A by ± its angle.
-            apart = np.zeros(turn_integration.PARAMETERS)
+            apart = np.zeros(PARAMETERS)
             apart[3 * i + j], apart[3 * j + i] = turned, -turned
             covariance += np.outer(apart, apart)
         return cls(values, covariance)
@@ -150,6 +164,30 @@ EARTH_DPS = 360.0 / 86164.0
 _CONTRAST = np.array([-0.5, 1.0, -0.5])
 """Weights of dwell, turn and dwell whose sum is the zero rate over the turn minus its estimate by the two
 dwells."""
+_FIRST, _NEXT = np.append(_CONTRAST, [0.0, 0.0]), np.append([0.0, 0.0], _CONTRAST)
+"""These weights for two neighbouring turns, of the five intervals that share the dwell between them."""
+
+
+@dataclass(frozen=True)
+class Attitude:
+    """Rotation of the sensor over a turn, with its derivatives by the gyro parameters.
+
+    Attributes
+    ----------
+    rotation : (3, 3) float
+        Φ: converts components of a direction in the sensor before the turn to components after it.
+    by_parameter : (3, 21) float
+        Derivative of the rotation error ε by A, g-sensitivity and asymmetry, in rad, rad/(°/s/g) and rad.
+    by_zero : (3, 3) float
+        Derivative of the rotation error ε by the zero rates, in rad/(°/s).
+    noise_rad2 : (3, 3) float
+        Covariance of ε from the white noise of the rates.
+    """
+
+    rotation: Floats
+    by_parameter: Floats
+    by_zero: Floats
+    noise_rad2: Floats
 
 
 @dataclass(frozen=True)
@@ -166,7 +204,7 @@ class Leg:
     zero_dps2 : (3,) float
         Variance of the zero rate that was subtracted.
     missing_rad2 : (3, 3) float
-        Covariance of the rotation because samples were lost and because they miss fast motion.
+        Covariance of the rotation by lost samples, by fast motion that they miss and by the earth's turn.
     spans_s : (3, 2) float
         Begin and end of the dwell before, the turn and the dwell after.
     shared_dps2 : (3,) float
@@ -182,6 +220,59 @@ class Leg:
     missing_rad2: Floats
     spans_s: Floats
     shared_dps2: Floats
+
+    def attitude(self, values: Floats, noise_dps2: Floats) -> Attitude:
+        """Integrate the rates to the rotation over the turn, and to the effect of gyro errors on it.
+
+        Parameters
+        ----------
+        values : (21,) float
+            Assumed parameters of the gyros: the matrix A of scale factors times unit vectors along the
+            sensitive axes (one row for each gyro) and the g-sensitivity in °/s/g, both row by row; then the
+            asymmetry, the relative error of the scale factor that multiplies |rate|.
+        noise_dps2 : (3, 3) float
+            Covariance of the noise of one sample, by the spectral density at frequency zero.
+        """
+        inverse = np.linalg.inv(values[:9].reshape(3, 3))
+        free = self.rate_dps - self.force_g @ values[9:18].reshape(3, 3).T
+        # True rate by the assumed gyros, then Φ(t₁, t) from each sample to the end.
+        omega = np.radians(free - values[18:] * self.size_dps) @ inverse.T
+        to_end = _to_end((omega[1:] + omega[:-1]) / 2 * np.diff(self.time_s)[:, None])
+        weighted = turn_integration.trapezoid_weights(self.time_s)[:, None, None] * (to_end @ inverse)
+        rad = math.pi / 180
+        # ∂ε/∂A[i, j] = ∫ (Φ A⁻¹)[:, i] ω[j] dt: one matrix product over samples for all nine, row by row.
+        flat = weighted.reshape(-1, 9).T
+        by_parameter = np.concatenate(
+            [
+                (flat @ omega).reshape(3, 9),
+                rad * (flat @ self.force_g).reshape(3, 9),
+                rad * (weighted * self.size_dps[:, None, :]).sum(axis=0),
+            ],
+            axis=1,
+        )
+        # Sum over samples of W Σ Wᵀ with W = Φ A⁻¹ dt.
+        by_row = weighted.transpose(1, 0, 2)
+        noise = rad**2 * (by_row @ noise_dps2).reshape(3, -1) @ by_row.reshape(3, -1).T
+        return Attitude(to_end[0], by_parameter, rad * weighted.sum(axis=0), noise)
+
+
+def _rates_at_end(time_s: Floats, rate_dps: Floats) -> Floats:
+    """Convert the rates (n, 3) of a turn to components along the directions of the axes at its end.
+
+    The rotation until the end is computed as if the gyros were perfect.
+    """
+    mean = np.radians(rate_dps[1:] + rate_dps[:-1]) / 2
+    return np.asarray((_to_end(mean * np.diff(time_s)[:, None]) @ rate_dps[:, :, None])[:, :, 0])
+
+
+def _to_end(steps_rad: Floats) -> Floats:
+    """Return the rotation Φ(t₁, t) (n + 1, 3, 3) from the time of each sample to the end of the turn.
+
+    The argument has the angles (n, 3) turned between samples.
+    """
+    turns = rotation_matrices(-steps_rad)
+    # The last step acts last: Φ of a sample is the product of all later steps, the latest on the left.
+    return np.array([*accumulate([np.eye(3), *turns[::-1]], np.matmul)])[::-1]
 
 
 @dataclass(frozen=True)
@@ -208,26 +299,6 @@ class GyroLinks:
     allan_dps2: Floats
     refused: tuple[tuple[int, int, str], ...] = ()
 
-    @cached_property
-    def _wander(self) -> tuple[Floats, Floats]:
-        """Variance and covariance of the zero rates of the turns by 1/f noise with an Allan variance of 1.
-
-        The zero rate of a turn is estimated by the mean of the two adjacent dwells. The results are the
-        variance (m,) of the error of each estimate, and its covariance (m,) with the error of the next
-        turn.
-        """
-        own, following = np.zeros(len(self.legs)), np.zeros(len(self.legs))
-        for k, leg in enumerate(self.legs):
-            # Variance of the contrast of dwell, turn and dwell.
-            covariance = covariance_of_means(*leg.spans_s.T)
-            own[k] = _CONTRAST @ covariance @ _CONTRAST
-            if k + 1 < len(self.legs) and self.legs[k + 1].positions[0] == leg.positions[1]:
-                # Two legs with a common dwell: five intervals, two overlapping contrasts.
-                spans = np.concatenate([leg.spans_s, self.legs[k + 1].spans_s[1:]])
-                covariance = covariance_of_means(*spans.T)
-                following[k] = np.append(_CONTRAST, [0, 0]) @ covariance @ np.append([0, 0], _CONTRAST)
-        return own, following
-
     def at(self, values: Floats, position: Sequence[int]) -> Links:
         """Return links between readings, linearised at parameters `values` (21,) of the gyros.
 
@@ -236,39 +307,34 @@ class GyroLinks:
         position : (n,) int
             Numbers of the dwells of the readings; turns that begin or end in other dwells are left out.
         """
-        place = {int(number): row for row, number in enumerate(position)}
-        used = [k for k, leg in enumerate(self.legs) if all(p in place for p in leg.positions)]
-        turned = [
-            turn_integration.attitude(
-                leg.time_s, leg.rate_dps, leg.force_g, values, self.noise_dps2, leg.size_dps
-            )
-            for leg in self.legs
-        ]
-        own_wander, next_wander = self._wander
-        m = len(used)
+        m = len(self.legs)
+        turned = [leg.attitude(values, self.noise_dps2) for leg in self.legs]
         own, following = np.zeros((m, 3, 3)), np.zeros((m, 3, 3))
-        for row, k in enumerate(used):
-            leg, found = self.legs[k], turned[k]
+        for k, (leg, found) in enumerate(zip(self.legs, turned, strict=True)):
             # Noise of the zero rate and of the samples, turned into the frame after the turn.
-            zero = np.diag(leg.zero_dps2 + self.allan_dps2 * own_wander[k])
-            own[row] = found.by_zero @ zero @ found.by_zero.T + found.noise_rad2
-            # The earth turns by a known angle about an unknown axis: a third of its square on each axis.
-            earth = (math.radians(EARTH_DPS) * float(leg.time_s[-1] - leg.time_s[0])) ** 2 / 3
-            own[row] += leg.missing_rad2 + earth * np.eye(3)
-            if row + 1 < m and self.legs[used[row + 1]].positions[0] == leg.positions[1]:
+            wander = _CONTRAST @ covariance_of_means(*leg.spans_s.T) @ _CONTRAST
+            zero = np.diag(leg.zero_dps2 + self.allan_dps2 * wander)
+            own[k] = found.by_zero @ zero @ found.by_zero.T + found.noise_rad2 + leg.missing_rad2
+            if k + 1 < m and self.legs[k + 1].positions[0] == leg.positions[1]:
                 # Each leg takes half of the common dwell as its zero rate.
-                shared = np.diag(leg.shared_dps2 / 4 + self.allan_dps2 * next_wander[k])
-                following[row] = found.by_zero @ shared @ turned[used[row + 1]].by_zero.T
-        slopes = np.array([turned[k].by_parameter for k in used]).reshape(m, 3, len(values))
-        return Links(
-            before=np.array([place[self.legs[k].positions[0]] for k in used], dtype=np.intp),
-            after=np.array([place[self.legs[k].positions[1]] for k in used], dtype=np.intp),
-            rotation=np.array([turned[k].rotation for k in used]).reshape(m, 3, 3),
+                spans = np.concatenate([leg.spans_s, self.legs[k + 1].spans_s[1:]])
+                wander = _FIRST @ covariance_of_means(*spans.T) @ _NEXT
+                shared = np.diag(leg.shared_dps2 / 4 + self.allan_dps2 * wander)
+                following[k] = found.by_zero @ shared @ turned[k + 1].by_zero.T
+        slopes = np.array([one.by_parameter for one in turned]).reshape(m, 3, len(values))
+        before, after = np.array([leg.positions for leg in self.legs], dtype=np.intp).reshape(m, 2).T
+        links = Links(
+            before=before,
+            after=after,
+            rotation=np.array([one.rotation for one in turned]).reshape(m, 3, 3),
             offset_rad=slopes @ (self.prior.values - values),
             own_rad2=own,
             next_rad2=following,
             modes_rad=slopes @ self.prior.root,
         )
+        # From numbers of dwells to rows of the readings.
+        kept = links.rows(np.array(position, dtype=np.intp))
+        return links.only(np.zeros(m, dtype=bool)) if kept is None else kept
 
 
 def gyro_links(session: Session, prior: GyroPrior | None = None) -> GyroLinks | None:
@@ -319,8 +385,10 @@ def _leg(session: Session, turn: Turn, rests: GyroDwells) -> Leg | str:
     time = path.time_s[rows]
     rate = path.rate_dps[rows] - path.zero_dps.mean(axis=0)
     force = path.force_g[rows] - path.rest_g.mean(axis=0)
-    turned = turn_integration.rates_at_end(time, rate)
-    missing = integral.bridged_deg2 * np.eye(3)
+    turned = _rates_at_end(time, rate)
+    # The earth turns by a known angle about an unknown axis: a third of its square on each axis.
+    earth_deg2 = (EARTH_DPS * float(time[-1] - time[0])) ** 2 / 3
+    missing = (integral.bridged_deg2 + earth_deg2) * np.eye(3)
     missing += sampling.aliasing.covariance(time, turned, sampling.period_s)
     return Leg(
         (turn.before, turn.position),

@@ -24,8 +24,15 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.links import LinkRows, Links
 from adis_gonio.fitting.estimation.readings import Readings, from_means, readings_of
 from adis_gonio.fitting.gyros.gyro_fit import fit_gyro
-from adis_gonio.fitting.gyros.turn_integration import PARAMETERS, attitude
-from adis_gonio.fitting.linked import GyroPrior, judge_links, linked_readings, probable_gyros
+from adis_gonio.fitting.linked import (
+    PARAMETERS,
+    Attitude,
+    GyroPrior,
+    Leg,
+    judge_links,
+    linked_readings,
+    probable_gyros,
+)
 from adis_gonio.fitting.methods import fit_of, fit_readings
 from adis_gonio.fitting.uncertainty import by_rotation_of, response_of
 from adis_gonio.model.effects import Conditions
@@ -50,6 +57,14 @@ def _rate_dps(time_s: Floats) -> Floats:
 def _gyros(rng: np.random.Generator) -> Floats:
     gains = np.eye(3) + 0.02 * rng.standard_normal((3, 3))
     return np.concatenate([gains.ravel(), 0.1 * rng.standard_normal(9), np.zeros(3)])
+
+
+def attitude(
+    time: Floats, read: Floats, force: Floats, gyros: Floats, noise: Floats, size: Floats
+) -> Attitude:
+    nothing = np.zeros((3, 3))
+    leg = Leg((0, 1), time, read, force, size, nothing[0], nothing, nothing[:, :2], nothing[0])
+    return leg.attitude(gyros, noise)
 
 
 def test_attitude_is_that_of_the_differential_equation_and_of_rotations_in_fine_steps() -> None:

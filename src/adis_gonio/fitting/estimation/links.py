@@ -83,7 +83,9 @@ class Links:
         `kept`.
         """
         # New number of each kept reading, −1 for the others.
-        place = np.full(max(int(self.after.max()), int(kept.max(initial=0))) + 1, -1, dtype=np.intp)
+        place = np.full(
+            max(int(self.after.max(initial=0)), int(kept.max(initial=0))) + 1, -1, dtype=np.intp
+        )
         place[kept] = np.arange(len(kept))
         before, after = place[self.before], place[self.after]
         whole = (before >= 0) & (after >= 0)

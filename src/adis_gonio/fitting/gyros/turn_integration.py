@@ -14,16 +14,6 @@ the motion are left out if they show no rotation, because they add only the drif
 is faster than the samples show (a part that is set down stops within a millisecond) adds the error of
 `Aliasing`.
 
-**Attitude.** The rotation between two poses needs the attitude (`attitude`). A direction u fixed in space
-moves backwards in the part: u̇ = −ω × u. The rate between two samples is taken as their mean, and the
-rotation by this rate is exact, so u(t₁) = Φ(t₁, t₀) u(t₀), where Φ is a product of rotations. A small error
-δω of the rates turns the result by ε, u(t₁) → u(t₁) + ε × u(t₁), with
-
-    ε = −∫ Φ(t₁, t) δω(t) dt.
-
-This is linear in all parameters of the gyros: readings m, zero rate z, gains and directions A and
-asymmetry a give ω = A⁻¹ (m − z − a |m − z|), hence ε = ∫ Φ(t₁, t) A⁻¹ (δA ω + δz + δa |m − z|) dt.
-
 **True rotation.** A `Reference` states the rotation of the sensor between two dwells as a rotation vector
 in the accelerometers' frame. It comes from one of two sources:
 
@@ -68,7 +58,6 @@ from adis_gonio.base.arrays import (
     central_differences,
     cumulative_integral,
     mean_direction,
-    rotation_matrices,
     wrap_degrees,
 )
 from adis_gonio.base.errors import AdisGonioError, UsageError
@@ -100,9 +89,6 @@ SHIFTED_G = 0.01
 """Change of the accelerometers' reading, in g, above which the attitude has changed (0.6°)."""
 HELD_NOISE = 6.0
 """Largest integral of the rates over an omitted rest, in its standard uncertainties."""
-PARAMETERS = 21
-"""Number of parameters of three gyros: gains and directions A (9, row by row), g-sensitivity (9, row by
-row) in °/s/g, asymmetry of the gains (3)."""
 NOT_RECORDED = "nothing was recorded between the dwells"
 _BRIDGED_NEAR_S = 1.0
 _LEAST_BRIDGES = 8
@@ -415,7 +401,7 @@ def integral_over(path: Path, sampling: Sampling, begin: int, end: int) -> Integ
     """
     rows = slice(begin, end + 1)
     time, rate, force = path.time_s[rows], path.rate_dps[rows], path.force_g[rows]
-    weight, length = _trapezoid_weights(time), float(time[-1] - time[0])
+    weight, length = trapezoid_weights(time), float(time[-1] - time[0])
     missing = _bridges(time, rate, sampling)
     if missing is None:
         return "too many scans were lost during the turn to estimate the missing part"
@@ -435,7 +421,7 @@ def integral_over(path: Path, sampling: Sampling, begin: int, end: int) -> Integ
     )
 
 
-def _trapezoid_weights(time_s: Floats) -> Floats:
+def trapezoid_weights(time_s: Floats) -> Floats:
     """Return the weights (n,) in s of the samples in an integral over time by the trapezoidal rule."""
     steps = np.diff(time_s)
     return np.asarray((np.append(steps, 0.0) + np.append(0.0, steps)) / 2)
@@ -486,110 +472,6 @@ def period_of(times_s: list[Floats]) -> float:
     """
     steps = [np.diff(time) for time in times_s if len(time) > 1]
     return float(np.median(np.concatenate(steps))) if steps else math.nan
-
-
-@dataclass(frozen=True)
-class Attitude:
-    """Rotation of the sensor over a turn, with its derivatives by the gyro parameters.
-
-    Attributes
-    ----------
-    rotation : (3, 3) float
-        Φ: converts components of a direction in the sensor before the turn to components after it.
-    by_parameter : (3, 21) float
-        Derivative of the rotation error ε by A, g-sensitivity and asymmetry, in rad, rad/(°/s/g) and rad.
-    by_zero : (3, 3) float
-        Derivative of the rotation error ε by the zero rates, in rad/(°/s).
-    noise_rad2 : (3, 3) float
-        Covariance of ε from the white noise of the rates.
-    """
-
-    rotation: Floats
-    by_parameter: Floats
-    by_zero: Floats
-    noise_rad2: Floats
-
-
-def attitude(
-    time_s: Floats,
-    rate_dps: Floats,
-    force_g: Floats,
-    values: Floats,
-    noise_dps2: Floats,
-    magnitude_dps: Floats,
-) -> Attitude:
-    """Integrate the rates of a turn to its rotation, and to the effect of gyro errors on it.
-
-    Parameters
-    ----------
-    time_s : (n,) float
-        Times of the samples.
-    rate_dps : (n, 3) float
-        Readings of the gyros minus their zero rates in the two dwells.
-    force_g : (n, 3) float
-        Readings of the accelerometers minus their mean in the two dwells, to which these zero rates belong.
-    values : (21,) float
-        Assumed parameters of the gyros: the matrix A of scale factors times unit vectors along the
-        sensitive axes (one row for each gyro) and the g-sensitivity in °/s/g, both row by row; then the
-        asymmetry, the relative error of the scale factor that multiplies |rate|.
-    noise_dps2 : (3, 3) float
-        Covariance of the noise of one sample, by the spectral density at frequency zero.
-    magnitude_dps : (n, 3) float
-        |rate| without the noise of the samples.
-    """
-    inverse = np.linalg.inv(values[:9].reshape(3, 3))
-    free = rate_dps - force_g @ values[9:18].reshape(3, 3).T
-    # True rate by the assumed gyros, then Φ(t₁, t) from each sample to the end.
-    omega = np.radians(free - values[18:] * magnitude_dps) @ inverse.T
-    to_end = _to_end((omega[1:] + omega[:-1]) / 2 * np.diff(time_s)[:, None])
-    weighted = _trapezoid_weights(time_s)[:, None, None] * (to_end @ inverse)
-    rad = math.pi / 180
-    # ∂ε/∂A[i, j] = ∫ (Φ A⁻¹)[:, i] ω[j] dt: one matrix product over samples for all nine, row by row.
-    flat = weighted.reshape(-1, 9).T
-    by_parameter = np.concatenate(
-        [
-            (flat @ omega).reshape(3, 9),
-            rad * (flat @ force_g).reshape(3, 9),
-            rad * (weighted * magnitude_dps[:, None, :]).sum(axis=0),
-        ],
-        axis=1,
-    )
-    # Sum over samples of W Σ Wᵀ with W = Φ A⁻¹ dt.
-    by_row = weighted.transpose(1, 0, 2)
-    noise = rad**2 * (by_row @ noise_dps2).reshape(3, -1) @ by_row.reshape(3, -1).T
-    return Attitude(to_end[0], by_parameter, rad * weighted.sum(axis=0), noise)
-
-
-def rates_at_end(time_s: Floats, rate_dps: Floats) -> Floats:
-    """Convert the rates (n, 3) of a turn to components along the directions of the axes at its end.
-
-    The rotation until the end is computed as if the gyros were perfect.
-    """
-    mean = np.radians(rate_dps[1:] + rate_dps[:-1]) / 2
-    return np.asarray((_to_end(mean * np.diff(time_s)[:, None]) @ rate_dps[:, :, None])[:, :, 0])
-
-
-def _to_end(steps_rad: Floats) -> Floats:
-    """Return the rotation Φ(t₁, t) (n + 1, 3, 3) from the time of each sample to the end of the turn.
-
-    The argument has the angles (n, 3) turned between samples. The products run within about √n blocks of
-    about √n steps, all blocks at once, then over the blocks.
-    """
-    n = len(steps_rad)
-    size = max(1, math.isqrt(n))
-    blocks = -(-n // size)
-    turns = np.broadcast_to(np.eye(3), (blocks * size, 3, 3)).copy()
-    turns[:n] = rotation_matrices(-steps_rad)
-    turns = turns.reshape(blocks, size, 3, 3)
-    # The last step acts last: Φ of a sample is the product of all later steps, the latest on the left.
-    for k in range(size - 2, -1, -1):
-        turns[:, k] = turns[:, k + 1] @ turns[:, k]
-    after = np.eye(3)
-    for block in range(blocks - 1, -1, -1):
-        whole = after @ turns[block, 0]
-        turns[block] = after @ turns[block]
-        after = whole
-    return np.concatenate([turns.reshape(-1, 3, 3)[:n], np.eye(3)[None]])
 
 
 MARK_U_DEG = 0.1
