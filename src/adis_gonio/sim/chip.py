@@ -409,13 +409,14 @@ class SimulatedChip:
         i = 0
         while i < n:
             end = int(hard[np.searchsorted(hard, i)])
+            done = 0
             if end - i >= _SHORTEST_FAST_RUN:
                 done = self._fast(words[i:end], starts_s[i:end], clock_hz, replies[i:end])
-                i += done
-                if done:
-                    continue
-            replies[i] = self.frame(int(words[i]), start_s=float(starts_s[i]), clock_hz=clock_hz)
-            i += 1
+            if not done:
+                done = min(_SHORTEST_FAST_RUN, n - i)
+                few = zip(words[i : i + done].tolist(), starts_s[i : i + done].tolist(), strict=True)
+                replies[i : i + done] = [self.frame(w, start_s=at, clock_hz=clock_hz) for w, at in few]
+            i += done
         return replies
 
     def _fast(self, words: Words, starts: Floats, clock_hz: float, out: Words) -> int:

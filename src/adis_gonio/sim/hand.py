@@ -146,13 +146,24 @@ class _Hand:
         course = np.zeros(len(time_s)), np.zeros(len(time_s))
         for piece in self._pieces:
             _add(course, minimum_jerk(time_s, *piece))
-        held = hold(time_s, self.length_s)
-        _add(course, product(self._uneven.at(time_s), held), self._uneven_rad)
-        _add(course, product(self._tremor.at(time_s), held), self._tremor_rad)
+        _add(course, self._while_held(self._uneven, time_s), self._uneven_rad)
+        _add(course, self._while_held(self._tremor, time_s), self._tremor_rad)
         return course
+
+    def _while_held(self, lines: Sines, time_s: Floats) -> Course:
+        """Return a motion (n,) while the hand holds the sensor, else 0, and its derivative (n,) per s."""
+        if self._has_let_go(time_s):
+            return np.zeros(len(time_s)), np.zeros(len(time_s))
+        return product(lines.at(time_s), hold(time_s, self.length_s))
+
+    def _has_let_go(self, time_s: Floats) -> bool:
+        """Return whether the hand holds the sensor at none of the increasing times (n,) in s."""
+        return len(time_s) > 0 and bool(time_s[0] >= self.length_s)
 
     def shaking_mg(self, time_s: Floats) -> Floats:
         """Return the acceleration (n, 3) in mg by which the hand shakes the sensor at times (n,) in s."""
+        if self._has_let_go(time_s):
+            return np.zeros((len(time_s), 3))
         held = self._settings.hand_vibration_mg * hold(time_s, self.length_s)[0]
         return np.stack([held * lines.at(time_s)[0] for lines in self._shaking], axis=1)
 
@@ -210,7 +221,7 @@ class HandTurn(_Hand):
         tilt = size * (np.cos(angle + first) + 0.5 * np.cos(2 * angle + second))
         slope = -size * rate * (np.sin(angle + first) + np.sin(2 * angle + second))
         sway = np.radians(self._settings.hand_sway_deg)
-        swaying = product(self._sway.at(time_s), hold(time_s, self.length_s))
+        swaying = self._while_held(self._sway, time_s)
         return tilt + sway * swaying[0], slope + sway * swaying[1]
 
 
@@ -295,7 +306,7 @@ class HandMove(_Hand):
             the vertical.
         """
         if self._stray_rad:
-            stray, straying = product(self._sway.at(time_s), hold(time_s, self.length_s))
+            stray, straying = self._while_held(self._sway, time_s)
             axis = self._stray_axis
             direction = _turned_back(direction, axis, self._stray_rad * stray)
             rate = _turned_back(rate, axis, self._stray_rad * stray)
