@@ -16,8 +16,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, get_args
 
 import numpy as np
@@ -37,11 +38,6 @@ Columns = Callable[[Conditions], Floats]
 
 COMMON = ("reading", "force", "rotation", "angle", "time", "temperature")
 """Covariates with full prior weight; other covariates and products are less probable."""
-
-
-def line_shape(u: Floats) -> Floats:
-    """Return `u` (n,) unchanged: the shape of a straight line."""
-    return u
 
 
 def power_shape(exponent: int) -> Shape:
@@ -100,7 +96,7 @@ def legendre(degrees: Sequence[int]) -> Shape:
     return lambda u: np.stack([np.polynomial.legendre.legval(u, one[k]) for k in degrees], axis=1)
 
 
-def harmonics(orders: Sequence[int]) -> Shape:
+def harmonics(orders: Sequence[float]) -> Shape:
     """Return a function of an angle with sines and cosines of its multiples, (n, 2 len(orders))."""
     return lambda t: np.stack([f(k * t) for k in orders for f in (np.sin, np.cos)], axis=1)
 
@@ -155,28 +151,29 @@ def _bases(data: Readings) -> Iterator[_Made]:
         yield from driving[covariate](data)
     if conditions.angle_rad is not None:
         yield from _of_angle()
-    yield from _of_time(data)
-    if conditions.temperature_c is not None and np.ptp(conditions.temperature_c) > 0:
-        yield from _of_scalar(
-            "temperature", "T", "25 °C", _over("temperature_c", line_shape), REFERENCE_C, data
-        )
-        yield from _of_rate(data)
-    if conditions.supply_v is not None and np.ptp(conditions.supply_v) > 0:
-        yield from _of_scalar("supply", "V", "5 V", _over("supply_v", line_shape), REFERENCE_V, data)
-    if conditions.line_hz is not None and np.ptp(conditions.line_hz) > 0:
-        middle = float(conditions.line_hz.mean())
-        zero, get = f"{middle:.4g} Hz", _over("line_hz", line_shape)
-        yield from _of_scalar("line_frequency", "f", zero, get, middle, data)
-    if conditions.approach is not None:
-        yield _formula("approach", "approach", _over("approach", line_shape), ("gain",))
+    recorded = _recorded(conditions)
+    named = data.model.named_forms
+    yield from _of_time(recorded["time"], named.get("time", ()))
+    for name in ("temperature", "supply", "line_frequency"):
+        if name in recorded and np.ptp(recorded[name].seen) > 0:
+            yield from _of_scalar(recorded[name], named.get(name, ()))
+            if name == "temperature":
+                yield from _of_rate(data)
+    if "approach" in recorded:
+        yield _formula("approach", "approach", _over("approach"), ("gain",))
     if conditions.previous_angle_rad is not None:
         yield from _of_memory(data)
-    yield from _products(data)
+    yield from _products(recorded, conditions)
 
 
-def _over(covariate: str, function: Shape) -> Columns:
+def _over(covariate: str, function: Shape = np.asarray) -> Columns:
     """Return a function of the conditions that applies `function` to the field `covariate` of them."""
     return lambda c: function(c.covariate(covariate))
+
+
+def _as_columns(rows: Floats) -> Floats:
+    """Return values (n,) as a column (n, 1), and columns (n, q) unchanged."""
+    return rows.reshape(len(rows), -1)
 
 
 def _formula(
@@ -205,12 +202,8 @@ def _formula(
     smooth : bool
         True if the function approximates one without a formula, False for a formula.
     """
-
-    def matrix(conditions: Conditions) -> Floats:
-        rows = columns(conditions)
-        return rows[:, None] if rows.ndim == 1 else rows
-
-    return _Made(family, Basis(form, covariates or (family,), matrix, None, smooth), tuple(places))
+    basis = Basis(form, covariates or (family,), lambda c: _as_columns(columns(c)), None, smooth)
+    return _Made(family, basis, tuple(places))
 
 
 def _with_constant(made: _Made) -> _Made:
@@ -248,12 +241,11 @@ def _of_own(
     `family` is the covariate, `form` the text for the function; `smooth` is True if it only approximates a
     function, `constant` if it contains a constant.
     """
-
-    def columns(driven: Floats, axis: int) -> Floats:
-        rows = function(driven[:, axis])
-        return rows[:, None] if rows.ndim == 1 else rows
-
-    return _Made(family, Basis(form, (family,), None, columns, smooth, constant), ("bias",))
+    return _Made(
+        family,
+        Basis(form, (family,), None, lambda a, k: _as_columns(function(a[:, k])), smooth, constant),
+        ("bias",),
+    )
 
 
 def _of_reading(data: Readings) -> Iterator[_Made]:
@@ -381,10 +373,7 @@ def _of_angle() -> Iterator[_Made]:
         return _formula("angle", form, _over("angle_rad", function), places or ("bias",), smooth=smooth)
 
     # One cycle on an axis is gain and misalignment; cycles of the angle are named effects.
-    for k in range(2, 7):
-        yield of_angle(f"sin {k}θ, cos {k}θ", harmonics((k,)))
-        yield of_angle(f"sin {k}θ", multiple(np.sin, k))
-        yield of_angle(f"cos {k}θ", multiple(np.cos, k))
+    yield from _waves("angle", "θ", range(2, 7), ("bias",))
     turn = 2 * np.pi
     more: dict[str, Shape] = {
         "θ (along all turns)": lambda t: t / turn,
@@ -406,9 +395,20 @@ def _of_angle() -> Iterator[_Made]:
         yield of_angle(form, harmonics(range(1, top + 1)), "angle", smooth=True)
 
 
-def _scaled(values: Floats) -> tuple[float, float]:
-    middle, half = (values.max() + values.min()) / 2, max((values.max() - values.min()) / 2, 1e-12)
-    return float(middle), float(half)
+def _waves(
+    family: str, angle: str, orders: Sequence[int], places: Sequence[Where], ending: str = ""
+) -> Iterator[_Made]:
+    """Yield harmonics of an angle: sine and cosine of each multiple together, then each of them alone.
+
+    `family` is the covariate, `angle` its symbol; `ending` follows the text for each function.
+    """
+    for k in orders:
+        for form, function in (
+            (f"sin {k}{angle}, cos {k}{angle}", harmonics((k,))),
+            (f"sin {k}{angle}", multiple(np.sin, k)),
+            (f"cos {k}{angle}", multiple(np.cos, k)),
+        ):
+            yield _formula(family, form + ending, _over(f"{family}_rad", function), places)
 
 
 def step_places(values: Floats, count: int) -> list[float]:
@@ -424,142 +424,147 @@ def step_places(values: Floats, count: int) -> list[float]:
 
 
 @dataclass(frozen=True)
-class _Course:
-    """One covariate of the session, with methods that yield candidate functions of it.
+class _Covariate:
+    """One covariate of the session.
 
     Attributes
     ----------
-    family, letter, unit : str
-        Name of the covariate, and its symbol and unit in the text for a function.
-    sides : tuple of str
-        Words for the upper and the lower side of a knee.
+    name, letter : str
+        Name of the covariate, and its symbol in the text for a function.
+    distance : str
+        Text for its difference from `zero`.
     get : callable
         Function that returns the covariate (n,) from the conditions.
-    middle, half : float
-        Middle of its range and half of the range.
+    seen : (n,) float
+        Its values in the session.
+    zero : float
+        Value that counts as zero in powers and products.
     """
 
-    family: str
+    name: str
     letter: str
-    unit: str
-    sides: tuple[str, str]
+    distance: str
     get: Columns
-    middle: float
-    half: float
+    seen: Floats
+    zero: float = 0.0
+
+    @cached_property
+    def middle(self) -> float:
+        """Middle of the range of the values."""
+        return float((self.seen.max() + self.seen.min()) / 2)
+
+    @cached_property
+    def half(self) -> float:
+        """Half of the range of the values."""
+        return float(max((self.seen.max() - self.seen.min()) / 2, 1e-12))
+
+    def scaled(self, c: Conditions) -> Floats:
+        """Return the covariate (n,) scaled to −1 … 1 over the session."""
+        return (self.get(c) - self.middle) / self.half
 
     def inside(self, function: Shape) -> Columns:
         """Return a function that computes `function` of the covariate scaled to −1 … 1."""
-        return lambda c: function((self.get(c) - self.middle) / self.half)
+        return lambda c: function(self.scaled(c))
 
-    def steps_and_knees(self, knots: Sequence[float]) -> Iterator[_Made]:
-        """Yield step functions with a step at each value in `knots`, and knees on an even grid."""
-        for knot in knots:
-            form = f"a step at {self.letter} = {knot:.4g}{self.unit}"
-            yield from _both(self.family, form, self.inside(step_shape((knot - self.middle) / self.half)))
-        for knot in np.linspace(self.middle - 0.8 * self.half, self.middle + 0.8 * self.half, 9):
-            for side, sign in zip(self.sides, (1.0, -1.0), strict=True):
-                form = f"a knee at {self.letter} = {knot:.4g}{self.unit} ({side})"
-                shape = knee_shape((knot - self.middle) / self.half, sign)
-                yield from _both(self.family, form, self.inside(shape))
-
-    def bumps(self, widths: Sequence[float], digits: int) -> Iterator[_Made]:
-        """Yield bell curves of each width, with centres on an even grid of the covariate.
-
-        `widths` are in units of half the covariate's range; `digits` is the precision of the width in the
-        text.
-        """
-        for knot in np.linspace(self.middle - 0.75 * self.half, self.middle + 0.75 * self.half, 7):
-            for width in widths:
-                size = f"{width * self.half:.{digits}g}{self.unit}"
-                form = f"a bump at {self.letter} = {knot:.4g}{self.unit} of width {size}"
-                shape = bump_shape((knot - self.middle) / self.half, width)
-                yield from _both(self.family, form, self.inside(shape))
-
-    def waves(self, count: int) -> Iterator[_Made]:
-        """Yield `count` oscillations along the covariate, with geometrically spaced periods."""
-        for cycles in np.geomspace(0.5, 0.5 * 2 ** ((count - 1) / 1.5), count).tolist():
-
-            def columns(c: Conditions, cycles: float = cycles) -> Floats:
-                turn = np.pi * cycles * (self.get(c) - self.middle) / self.half
-                return np.stack([np.sin(turn), np.cos(turn)], axis=1)
-
-            form = f"an oscillation of period {2 * self.half / cycles:.3g} in {self.letter}"
-            yield _formula(self.family, form, columns)
-
-    def polynomials(self, levels: int) -> Iterator[_Made]:
-        """Yield polynomials of the covariate.
-
-        Their degrees are less than `levels`, the number of values of the covariate in the session.
-        """
-        for degree in (2, 3, 4, 5, 6, 8):
-            if degree < levels:
-                form = f"a smooth function of {self.family} (degree {degree})"
-                # On a bias, powers of the temperature up to the third are named effects.
-                named = ("bias",) if self.family == "temperature" and degree <= 3 else ()
-                columns = self.inside(legendre(range(1, degree + 1)))
-                yield from _both(self.family, form, columns, named, smooth=True)
+    def from_zero(self, c: Conditions) -> Floats:
+        """Return the difference (n,) of the covariate from its zero, in units of half the range."""
+        return (self.get(c) - self.zero) / self.half
 
 
-def _of_scalar(
-    family: str, letter: str, zero: str, get: Columns, reference: float, data: Readings
-) -> Iterator[_Made]:
+def _recorded(c: Conditions) -> dict[str, _Covariate]:
+    """Return the recorded covariates that are not driven by an axis, by name."""
+    hz = 0.0 if c.line_hz is None else float(c.line_hz.mean())
+    before = None if c.angle_rad is None or c.previous_angle_rad is None else np.sin(c.previous_angle_rad)
+    every = [
+        ("time", "t", "t", _over("time_s"), c.time_s, 0.0),
+        ("temperature", "T", "(T − 25 °C)", _over("temperature_c"), c.temperature_c, REFERENCE_C),
+        ("supply", "V", "(V − 5 V)", _over("supply_v"), c.supply_v, REFERENCE_V),
+        ("line_frequency", "f", f"(f − {hz:.4g} Hz)", _over("line_hz"), c.line_hz, hz),
+        ("approach", "approach", "approach", _over("approach"), c.approach, 0.0),
+        ("previous_angle", "θ′", "sin θ′", _over("previous_angle_rad", np.sin), before, 0.0),
+    ]
+    return {
+        name: _Covariate(name, letter, distance, get, seen, zero)
+        for name, letter, distance, get, seen, zero in every
+        if seen is not None
+    }
+
+
+def _of_scalar(one: _Covariate, named: Sequence[str]) -> Iterator[_Made]:
     """Yield all candidate functions of one covariate, such as the temperature.
 
-    They are lines, powers, steps, knees, exponentials, bumps, waves and polynomials.
+    `named` lists the places where a line is a named effect.
+    """
+    yield from _both(one.name, one.distance, one.from_zero, named)
+    yield from _both(one.name, f"{one.distance}²", lambda c: one.from_zero(c) ** 2)
+    yield from _both(one.name, f"{one.distance}³", lambda c: one.from_zero(c) ** 3)
+    yield from _both(one.name, f"|{one.distance.strip('()')}|", lambda c: np.abs(one.from_zero(c)))
+    for rate in (-3.0, -1.5, 1.5, 3.0):
+        form = f"exp({rate / one.half:+.3g} {one.letter})"
+        yield from _both(one.name, form, one.inside(growth_shape(rate)))
+    yield from _shapes_of(one, "", ("above", "below"), steps=12, widths=(0.2, 0.45), waves=5)
+
+
+def _of_time(time: _Covariate, named: Sequence[str]) -> Iterator[_Made]:
+    """Yield functions of the time t since the start of the session, in units of the session's length.
+
+    `named` lists the places where a line is a named effect.
+    """
+    length = 2 * time.half
+    yield from _both("time", "t", lambda c: time.from_zero(c) / 2, named)
+    yield from _both("time", "t²", lambda c: (time.from_zero(c) / 2) ** 2)
+    yield from _both("time", "t³", lambda c: (time.from_zero(c) / 2) ** 3)
+    yield from _both("time", "√t", lambda c: np.sqrt(np.maximum(time.from_zero(c), 0) / 2))
+    for tau in np.geomspace(0.1, 2.0, 6).tolist():
+        decay, growth = (time.inside(approach_shape(tau, sign)) for sign in (-1.0, 1.0))
+        yield from _both("time", f"exp(−t/{length * tau:.3g} s)", decay, ("bias",))
+        yield from _both("time", f"exp(+t/{length * tau:.3g} s)", growth)
+    yield from _shapes_of(time, " s", ("after", "before"), steps=60, widths=(0.15, 0.35), waves=7)
+
+
+def _shapes_of(
+    one: _Covariate,
+    unit: str,
+    sides: tuple[str, str],
+    *,
+    steps: int,
+    widths: Sequence[float],
+    waves: int,
+) -> Iterator[_Made]:
+    """Yield steps, knees, bumps, oscillations and polynomials of a covariate.
 
     Parameters
     ----------
-    family, letter : str
-        Name of the covariate, and its symbol in formulas.
-    zero : str
-        Text for its reference value, such as `25 °C`.
-    get : callable
-        Function that returns the covariate (n,) from the conditions.
-    reference : float
-        Reference value, at which powers of the covariate are zero.
+    unit, sides : str, tuple of 2 str
+        Unit of the covariate in a text; words for the upper and the lower side of a knee.
+    steps, waves : int
+        Largest number of steps, and the number of oscillations.
+    widths : sequence of float
+        Widths of bumps in units of half the covariate's range.
     """
-    values = get(data.conditions)
-    course = _Course(family, letter, "", ("above", "below"), get, *_scaled(values))
-    half = course.half
-    curves: dict[str, Shape] = {
-        f"({letter} − {zero})": line_shape,
-        f"({letter} − {zero})²": power_shape(2),
-        f"({letter} − {zero})³": power_shape(3),
-        f"|{letter} − {zero}|": np.abs,
-    }
-    named = data.model.named_forms.get(family, ())
-
-    def about(function: Shape) -> Columns:
-        return lambda c: function((get(c) - reference) / half)
-
-    for form, function in curves.items():
-        yield from _both(family, form, about(function), named if function is line_shape else ())
-    yield from course.steps_and_knees(step_places(values, 12))
-    for rate in (-3.0, -1.5, 1.5, 3.0):
-        yield from _both(family, f"exp({rate / half:+.3g} {letter})", course.inside(growth_shape(rate)))
-    yield from course.bumps((0.2, 0.45), 2)
-    yield from course.waves(5)
-    yield from course.polynomials(len(np.unique(values)))
-
-
-def _of_time(data: Readings) -> Iterator[_Made]:
-    """Yield functions of the time t since the start of the session, in units of the session's length."""
-    time = data.conditions.time_s
-    course = _Course("time", "t", " s", ("after", "before"), lambda c: c.time_s, *_scaled(time))
-    length = 2 * course.half
-    named = data.model.named_forms.get("time", ())
-    yield from _both("time", "t", lambda c: c.time_s / length, named)
-    yield from _both("time", "t²", lambda c: (c.time_s / length) ** 2)
-    yield from _both("time", "t³", lambda c: (c.time_s / length) ** 3)
-    yield from _both("time", "√t", lambda c: np.sqrt(np.maximum(c.time_s, 0) / length))
-    yield from course.steps_and_knees(step_places(time, 60))
-    for tau in np.geomspace(0.1, 2.0, 6).tolist():
-        decay, growth = (course.inside(approach_shape(tau, sign)) for sign in (-1.0, 1.0))
-        yield from _both("time", f"exp(−t/{length * tau:.3g} s)", decay, ("bias",))
-        yield from _both("time", f"exp(+t/{length * tau:.3g} s)", growth)
-    yield from course.bumps((0.15, 0.35), 3)
-    yield from course.waves(7)
-    yield from course.polynomials(len(time))
+    name, letter = one.name, one.letter
+    for place in step_places(one.seen, steps):
+        shape = step_shape((place - one.middle) / one.half)
+        yield from _both(name, f"a step at {letter} = {place:.4g}{unit}", one.inside(shape))
+    for place in np.linspace(one.middle - 0.8 * one.half, one.middle + 0.8 * one.half, 9):
+        for side, sign in zip(sides, (1.0, -1.0), strict=True):
+            shape = knee_shape((place - one.middle) / one.half, sign)
+            yield from _both(name, f"a knee at {letter} = {place:.4g}{unit} ({side})", one.inside(shape))
+    for place in np.linspace(one.middle - 0.75 * one.half, one.middle + 0.75 * one.half, 7):
+        for width in widths:
+            form = f"a bump at {letter} = {place:.4g}{unit} of width {width * one.half:.3g}{unit}"
+            yield from _both(name, form, one.inside(bump_shape((place - one.middle) / one.half, width)))
+    # Oscillations with geometrically spaced periods.
+    for cycles in np.geomspace(0.5, 0.5 * 2 ** ((waves - 1) / 1.5), waves).tolist():
+        form = f"an oscillation of period {2 * one.half / cycles:.3g} in {letter}"
+        yield _formula(name, form, one.inside(harmonics((np.pi * cycles,))))
+    for degree in (2, 3, 4, 5, 6, 8):
+        if degree < len(np.unique(one.seen)):
+            # On a bias, powers of the temperature up to the third are named effects.
+            named = ("bias",) if name == "temperature" and degree <= 3 else ()
+            form = f"a smooth function of {name} (degree {degree})"
+            shape = legendre(range(1, degree + 1))
+            yield from _both(name, form, one.inside(shape), named, smooth=True)
 
 
 def _of_rate(data: Readings) -> Iterator[_Made]:
@@ -587,10 +592,10 @@ def _of_rate(data: Readings) -> Iterator[_Made]:
         ahead = np.interp(c.clock_s + reach / 2, times, temperatures)
         return (ahead - np.interp(c.clock_s - reach / 2, times, temperatures)) / reach
 
-    middle, half = _scaled(rate(data.conditions))
-    scale = max(abs(middle) + half, 1e-12)
+    seen = rate(data.conditions)
+    scale = max(float(np.abs(seen).max()), 1e-12)
     curves: dict[str, Shape] = {
-        "dT/dt": line_shape,
+        "dT/dt": np.asarray,
         "|dT/dt|": np.abs,
         "sign dT/dt": np.sign,
         "(dT/dt)²": power_shape(2),
@@ -599,15 +604,12 @@ def _of_rate(data: Readings) -> Iterator[_Made]:
     def scaled(function: Shape) -> Columns:
         return lambda c: function(rate(c) / scale)
 
-    for form, function in curves.items() if half > 1e-9 else ():
+    for form, function in curves.items() if np.ptp(seen) > 2e-9 else ():
         yield from _both("temperature_rate", form, scaled(function))
 
 
 def _of_memory(data: Readings) -> Iterator[_Made]:
     """Yield functions of the previous angle θ′ of the stage, and of the move θ − θ′ from it."""
-
-    def previous(form: str, function: Shape, smooth: bool = False) -> _Made:
-        return _formula("previous_angle", form, _over("previous_angle_rad", function), smooth=smooth)
 
     def move(c: Conditions) -> Floats:
         return c.covariate("angle_rad") - c.covariate("previous_angle_rad")
@@ -616,102 +618,58 @@ def _of_memory(data: Readings) -> Iterator[_Made]:
         return lambda c: function(move(c) / largest)
 
     largest = max(float(np.abs(move(data.conditions)).max()), 1e-9)
-    for k in (1, 2, 3):
-        yield previous(f"sin {k}θ′, cos {k}θ′ of the previous position", harmonics((k,)))
-        yield previous(f"sin {k}θ′ of the previous position", multiple(np.sin, k))
-        yield previous(f"cos {k}θ′ of the previous position", multiple(np.cos, k))
+    family = "previous_angle"
+    yield from _waves(family, "θ′", (1, 2, 3), ("bias", "gain", "angle"), " of the previous position")
     moves: dict[str, Shape] = {
-        "the move θ − θ′": line_shape,
+        "the move θ − θ′": np.asarray,
         "|θ − θ′|": np.abs,
         "sign(θ − θ′)": lambda u: np.sign(np.round(u, 9)),
     }
     for form, function in moves.items():
-        yield _formula("previous_angle", form, of_move(function))
+        yield _formula(family, form, of_move(function))
     for top in (2, 3, 4):
         form = f"a smooth function of the previous position (harmonics to {top})"
-        yield previous(form, harmonics(range(1, top + 1)), smooth=True)
+        yield _formula(family, form, _over(f"{family}_rad", harmonics(range(1, top + 1))), smooth=True)
 
 
-@dataclass(frozen=True)
-class _Factor:
-    """A covariate that may be multiplied by another one.
-
-    Attributes
-    ----------
-    name, letter : str
-        Name of the covariate, and its symbol in formulas.
-    get : callable
-        Function that returns its values (n,) from the conditions.
-    zero : float
-        Value that counts as zero in a product, such as 25 °C.
-    """
-
-    name: str
-    letter: str
-    get: Columns
-    zero: float = 0.0
-
-
-def _factors(conditions: Conditions) -> Iterator[_Factor]:
-    """Yield the recorded covariates that may be multiplied by each other."""
-    yield _Factor("time", "t", lambda c: c.time_s)
-    if conditions.temperature_c is not None:
-        yield _Factor("temperature", "(T − 25 °C)", _over("temperature_c", line_shape), REFERENCE_C)
-    if conditions.supply_v is not None:
-        yield _Factor("supply", "(V − 5 V)", _over("supply_v", line_shape), REFERENCE_V)
-    if conditions.approach is not None:
-        yield _Factor("approach", "approach", _over("approach", line_shape))
-    if conditions.angle_rad is not None and conditions.previous_angle_rad is not None:
-        yield _Factor("previous_angle", "sin θ′", _over("previous_angle_rad", np.sin))
-
-
-def _products(data: Readings) -> Iterator[_Made]:
-    """Yield functions of two covariates; a covariate that hardly changes is omitted."""
-    conditions = data.conditions
+def _products(recorded: Mapping[str, _Covariate], conditions: Conditions) -> Iterator[_Made]:
+    """Yield functions of two `recorded` covariates; a covariate that hardly changes is omitted."""
     # A covariate that hardly changes is a constant with noise: a product with it equals the other factor.
-    least = {"temperature": limits.least_range_c, "supply": limits.least_range_v}
-    moving = [f for f in _factors(conditions) if np.ptp(f.get(conditions)) > least.get(f.name, 0.0)]
+    least = {"temperature": limits.least_range_c, "supply": limits.least_range_v, "line_frequency": np.inf}
+    moving = [one for one in recorded.values() if np.ptp(one.seen) > least.get(one.name, 0.0)]
     for one, two in itertools.combinations(moving, 2):
-        yield from _product(one, two, conditions)
+        yield from _product(one, two)
     if conditions.angle_rad is not None:
         for factor in moving:
             if factor.name in {"time", "temperature", "approach"}:
-                yield from _cycles_times(factor, conditions)
+                yield from _cycles_times(factor)
 
 
-def _cycles_times(factor: _Factor, conditions: Conditions) -> Iterator[_Made]:
+def _cycles_times(factor: _Covariate) -> Iterator[_Made]:
     """Yield stage errors with one to three cycles per turn and an amplitude proportional to a covariate.
 
     In some orders of positions they look like errors of many cycles per turn and constant amplitude.
     """
-    _, half = _scaled(factor.get(conditions))
     for cycles in (1, 2, 3):
 
         def columns(c: Conditions, cycles: int = cycles) -> Floats:
             waves = harmonics((cycles,))(c.covariate("angle_rad"))
-            return np.asarray(waves * (factor.get(c) - factor.zero)[:, None] / half)
+            return np.asarray(waves * factor.from_zero(c)[:, None])
 
-        form = f"{factor.letter} × (sin {cycles}θ, cos {cycles}θ)"
+        form = f"{factor.distance} × (sin {cycles}θ, cos {cycles}θ)"
         yield _formula("products", form, columns, ("angle",), covariates=(factor.name, "angle"))
 
 
-def _product(one: _Factor, two: _Factor, conditions: Conditions) -> Iterator[_Made]:
+def _product(one: _Covariate, two: _Covariate) -> Iterator[_Made]:
     """Yield candidate functions of two covariates: their product, and surfaces over both."""
-    one_middle, one_half = _scaled(one.get(conditions))
-    two_middle, two_half = _scaled(two.get(conditions))
     names = (one.name, two.name)
-
-    def about(c: Conditions) -> Floats:
-        return np.asarray((one.get(c) - one.zero) / one_half * (two.get(c) - two.zero) / two_half)
 
     def of(function: Callable[[Floats, Floats], Floats]) -> Columns:
         """Return columns that apply a function to both covariates, each scaled to −1 … 1."""
-        return lambda c: function(
-            (one.get(c) - one_middle) / one_half, (two.get(c) - two_middle) / two_half
-        )
+        return lambda c: function(one.scaled(c), two.scaled(c))
 
-    letters = f"{one.letter} × {two.letter}"
-    yield from _both("products", letters, about, covariates=names)
+    letters = f"{one.distance} × {two.distance}"
+    yield from _both("products", letters, lambda c: one.from_zero(c) * two.from_zero(c), covariates=names)
     yield from _both("products", f"{letters}, centred", of(np.multiply), covariates=names)
     form = f"a surface over {one.name} and {two.name}"
     surface = of(lambda u, v: np.stack([u, v, u * v], axis=1))
