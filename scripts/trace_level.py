@@ -46,7 +46,7 @@ def best_scores(problem: LinearProblem, draws: int, rng: np.random.Generator) ->
     prices, best = price(problem), np.full(draws, -np.inf)
     for each in np.array_split(np.arange(draws), max(draws // 50, 1)):
         squares = (problem.columns.T @ noise[:, each]) ** 2
-        gains = np.add.reduceat(squares, problem.first, axis=0)
+        gains = np.add.reduceat(squares, problem.shared.first, axis=0)
         best[each] = (0.5 * gains - prices[:, None]).max(axis=0)
     return best
 

@@ -18,6 +18,7 @@ from adis_gonio.tracing.linear_problem import LinearProblem
 from adis_gonio.tracing.model_search import Model, Search, weigh
 from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.selection import Selection, select
+from adis_gonio.tracing.session_blocks import SessionBlocks
 
 G = 1000.0
 U = 0.1
@@ -86,16 +87,21 @@ def single(
     k = len(columns)
     return LinearProblem(
         terms=tuple(terms),
-        columns=np.array(columns, dtype=float).T,
-        first=np.arange(k),
-        width=np.ones(k, dtype=np.intp),
+        shared=SessionBlocks(
+            rows=len(target),
+            place=np.arange(len(target))[None],
+            base=np.zeros((1, len(target), 0)),
+            columns=np.array(columns, dtype=float).T[None],
+            width=np.ones(k, dtype=np.intp),
+            seen=np.ones((1, k), dtype=bool),
+            back=tuple(np.ones((1, 1, 1)) for _ in range(k)),
+            prior=tuple(np.zeros((1, 1, 1)) for _ in range(k)),
+        ),
         target=np.array(target, dtype=float),
         dof=len(target),
-        back=tuple(np.eye(1) for _ in range(k)),
         hidden=(),
         cost=np.array([getattr(term, "cost", 0.0) for term in terms]),
         column_price=np.zeros(k),
-        prior=tuple(np.zeros((1, 1)) for _ in range(k)),
     )
 
 

@@ -254,7 +254,7 @@ def test_columns_by_session_give_what_columns_over_all_rows_give(parts, stages) 
     terms = [term for term in named_terms(data)[0] if len(term.effect.parameters) < 24][::3]
     problem = linearise(fit, terms).with_inflation(1.7)
     dense = problem.dense
-    own = np.arange(len(problem.terms)) >= len(problem.first)
+    own = np.arange(len(problem.terms)) >= len(problem.shared.width)
     assert 5 < own.sum() < len(own) - 5
     assert not dense.split
     some = [int(k) for k in np.flatnonzero(own)[[0, 5]]], [int(np.flatnonzero(~own)[7])]

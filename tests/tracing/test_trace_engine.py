@@ -97,9 +97,9 @@ def test_products_of_blocks_are_those_of_least_squares_with_the_rows_of_the_prio
     free = linearise(Fit.begin(data).refit(), [*named_terms(data)[0], *nameless_terms(data)[::40]])
     problem = free.with_inflation(3.0).with_inflation(inflation)
     few = problem.subset(np.arange(1, len(problem.terms), 3))
-    sizes = [len(problem.back[k]) for k in model]
+    sizes = [len(problem.back_of(k)) for k in model]
     spread = amplitude_spreads(data.model, [problem.terms[k] for k in model], np.array(sizes, dtype=int))
-    back = linalg.block_diag(np.zeros((0, 0)), *(problem.back[k] for k in model))[: sum(sizes)]
+    back = linalg.block_diag(np.zeros((0, 0)), *(problem.back_of(k) for k in model))[: sum(sizes)]
     below = np.sqrt(inflation) * back / spread[:, None]
     columns = np.concatenate([np.zeros((len(problem.target), 0)), *map(problem.block, model)], axis=1)
     whole = np.concatenate([columns, below])
@@ -114,7 +114,7 @@ def test_products_of_blocks_are_those_of_least_squares_with_the_rows_of_the_prio
         assert z == pytest.approx(left @ longer, abs=1e-9 * np.sqrt(problem.chi2))
         assert inside.T @ inside == pytest.approx(longer.T @ onto @ few.columns, abs=1e-9)
     for k in model:
-        whole = problem.block(k).T @ problem.block(k) + problem.prior[k]
+        whole = problem.block(k).T @ problem.block(k) + problem.prior_of(k)
         assert whole == pytest.approx(np.eye(len(whole)), abs=1e-9)
 
 
@@ -143,7 +143,7 @@ def test_an_amplitude_costs_as_many_nats_as_a_part_seldom_has_it_whatever_the_no
     free = problem.chi2 - float((span(problem, (0,))[1] ** 2).sum())
     assert free == pytest.approx(problem.chi2)
     cost = 0.5 * (free - problem.gain((0,))) / inflation
-    seen = 1 - problem.prior[0][0, 0]  # of a prior that is not vague beside the noise a part
+    seen = 1 - problem.prior_of(0)[0, 0]  # of a prior that is not vague beside the noise a part
     # Blocks are orthonormal to 1e-10.
     assert cost == pytest.approx(nats * seen, rel=2e-3, abs=1e-10 * problem.chi2 / inflation)
 

@@ -652,8 +652,8 @@ class TestBaseAndRivals:
         selection = chosen(data, terms, *((model, 0.5) for model in models))
         spread = base_mixture(selection)
         (cubic,) = (
-            own[0, 0]
-            for t, own in zip(selection.problem.terms, selection.problem.prior, strict=True)
+            selection.problem.prior_of(k)[0, 0]
+            for k, t in enumerate(selection.problem.terms)
             if t.name == "cubic"
         )
         gains = [base_of(chosen(data, terms, (model, 1.0)))["scale_x"].value for model in models]

@@ -77,7 +77,11 @@ def test_of_few_candidates_the_best_model_is_that_of_all_models(hidden: int, see
         itertools.combinations(range(len(problem.terms)), size) for size in range(4)
     )
     found = search(problem, 3)
-    assert found.scores[found.best] == pytest.approx(max(score(problem, m) for m in models), rel=1e-6)
+    wide = problem.dof - max(problem.dof // 2, 1)
+    best = max(score(problem, m) for m in models if problem.width[list(m)].sum() <= wide)
+    assert score(problem, found.best) == pytest.approx(best, rel=1e-6)
+    # Gains of nearly equal columns are computed with a ridge of 1e-4.
+    assert found.scores[found.best] == pytest.approx(best, rel=2e-5)
 
 
 @pytest.mark.parametrize("hidden", range(len(HIDDEN)))

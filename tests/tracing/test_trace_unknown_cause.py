@@ -54,7 +54,7 @@ def test_scores_beside_a_process_are_those_of_generalised_least_squares() -> Non
     inverse = np.linalg.inv(np.eye(len(problem.target)) + features @ features.T)
     assert beside.chi2 == pytest.approx(problem.target @ inverse @ problem.target)
     for k in (0, 7, 20):
-        columns, prior = problem.block(k), problem.prior[k]
+        columns, prior = problem.block(k), problem.prior_of(k)
         along = columns.T @ inverse @ problem.target
         gain = along @ np.linalg.solve(columns.T @ inverse @ columns + prior, along)
         assert beside.gain((k,)) == pytest.approx(gain, rel=1e-6)

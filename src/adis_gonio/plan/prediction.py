@@ -496,7 +496,7 @@ def predict_sight(readings: Readings) -> Sight:
         if not term.constant and seen[name].amplitude is not None:
             # Whitened columns (rows, d) by the term's amplitudes, without their part in the base model.
             index = problem.terms.index(term)
-            own = problem.block(index) @ np.linalg.pinv(problem.back[index])
+            own = problem.block(index) @ np.linalg.pinv(problem.back_of(index))
             columns[name] = np.asarray(own - basis @ (basis.T @ own))
     found = []
     for one, other in itertools.combinations(columns, 2):

@@ -49,27 +49,18 @@ class LinearProblem:
     ----------
     terms : tuple of Term
         Candidate terms that this session can show.
-    columns : (rows, P) float
-        Columns of all terms in order, except those of `split`. The columns Q of one term (its block) have
-        QᵀQ + `prior` = 1.
-    first : (M',) int
-        First of the `columns` of each of the first M' terms; the numbers ascend.
-    width : (M,) int
-        Number of columns of each of the M terms.
+    shared : SessionBlocks
+        Columns of the first terms, with all rows as one session.
     target : (rows,) float
         Whitened readings minus prediction, projected off the base model.
     dof : int
         Rows minus the rank of the base model.
-    back : tuple of (d, width) float
-        Matrices that map the coefficients of a block to the amplitudes of its term (`back_of`).
-    cost, column_price : (M,) float
-        −ln of each term's share of the prior, and the price of its columns: both lower the log evidence.
     hidden : tuple of Term
         Candidates that the session cannot show, since the base model reproduces their columns.
-    prior : tuple of (width, width) float
-        Gram matrix of each block's prior rows, in units of the noise.
+    cost, column_price : (M,) float
+        −ln of each term's share of the prior, and the price of its columns: both lower the log evidence.
     inflation : float
-        Factor on the noise variance contained in `prior`.
+        Factor on the noise variance contained in the prior of the blocks.
     joint : bool
         True for readings of several sessions. The search then adds pairs of named terms only if these have
         at most `limits.paired` columns.
@@ -79,19 +70,26 @@ class LinearProblem:
     """
 
     terms: tuple[Term, ...]
-    columns: Floats
-    first: NDArray[np.intp]
-    width: NDArray[np.intp]
+    shared: SessionBlocks
     target: Floats
     dof: int
-    back: tuple[Floats, ...]
     hidden: tuple[Term, ...]
     cost: Floats
     column_price: Floats
-    prior: tuple[Floats, ...]
     inflation: float = 1.0
     joint: bool = False
     split: SessionBlocks | None = None
+
+    @cached_property
+    def width(self) -> NDArray[np.intp]:
+        """Number of columns (M,) of each term."""
+        every = [self.shared.total] if self.split is None else [self.shared.total, self.split.total]
+        return np.concatenate(every)
+
+    @property
+    def columns(self) -> Floats:
+        """Columns (rows, P) of the first terms in order, those of `shared`; columns not seen are zero."""
+        return np.asarray(self.shared.columns[0])
 
     @property
     def chi2(self) -> float:
@@ -107,24 +105,25 @@ class LinearProblem:
         biases = [k for k, term in enumerate(self.terms) if term.constant and term.prior_sd is None]
         return max(biases, key=lambda k: int(self.width[k]), default=None)
 
+    def _home(self, term: int) -> tuple[SessionBlocks, int]:
+        """Return the blocks with the columns of a term, and the number of the term in these blocks."""
+        own = term - len(self.shared.width)
+        return (self.shared, term) if self.split is None or own < 0 else (self.split, own)
+
     def block(self, term: int) -> Floats:
         """Return the columns (rows, width) of one term, given by its number."""
-        own = term - len(self.first)
-        if self.split is not None and own >= 0:
-            return self.split.of_term(own)
-        return self.columns[:, self.first[term] : self.first[term] + self.width[term]]
+        blocks, own = self._home(term)
+        return blocks.of_term(own)
 
     def back_of(self, term: int) -> Floats:
         """Return the matrix (d, width) that maps the coefficients of a term's block to its amplitudes."""
-        own = term - len(self.first)
-        if self.split is not None and own >= 0:
-            return self.split.joined(self.split.back[own], own)
-        return self.back[term]
+        blocks, own = self._home(term)
+        return blocks.joined(blocks.back[own], own)
 
     def prior_of(self, term: int) -> Floats:
         """Return the Gram matrix (width, width) of the prior rows of a term's block."""
-        own = term - len(self.first)
-        return self.split.prior_of(own) if self.split is not None and own >= 0 else self.prior[term]
+        blocks, own = self._home(term)
+        return blocks.prior_of(own)
 
     def basis_of(self, model: Sequence[int], *, with_prior: bool = True) -> ModelBasis:
         """Return orthonormal columns of a model of several sessions; `model` has the numbers of its terms.
@@ -132,9 +131,9 @@ class LinearProblem:
         `with_prior` includes the prior rows of the amplitudes (see `SessionBlocks.basis`).
         """
         assert self.split is not None
-        shared = [k for k in model if k < len(self.first)]
-        columns, gram = self.columns_and_gram(shared)
-        own = [k - len(self.first) for k in model if k >= len(self.first)]
+        count = len(self.shared.width)
+        columns, gram = self.columns_and_gram([k for k in model if k < count])
+        own = [k - count for k in model if k >= count]
         columns = by_session(columns, self.split.place)
         return self.split.basis(own, columns, gram, with_prior=with_prior)
 
@@ -155,16 +154,15 @@ class LinearProblem:
         if self.split is None:
             return self
         every = range(len(self.terms))
-        split = [self.block(k) for k in every[len(self.first) :]]
-        whole = replace(
-            self,
-            columns=np.concatenate([self.columns, *split], axis=1),
-            first=(np.cumsum(self.width) - self.width).astype(np.intp),
-            back=tuple(self.back_of(k) for k in every),
-            prior=tuple(np.zeros((size, size)) for size in self.width.tolist()),
-            split=None,
+        blocks = replace(
+            self.shared,
+            columns=np.concatenate([self.block(k) for k in every], axis=1)[None],
+            width=self.width,
+            seen=np.ones((1, int(self.width.sum())), dtype=bool),
+            back=tuple(self.back_of(k)[None] for k in every),
+            prior=tuple(self.prior_of(k)[None] for k in every),
         )
-        return whole._with_prior([self.prior_of(k) for k in every], self.inflation)
+        return replace(self, shared=blocks.with_prior(), split=None)
 
     def gains(self, basis: Floats, residual: Floats) -> Floats:
         """Return the decrease of χ² (M,) by each term if it alone is added to a model.
@@ -185,17 +183,18 @@ class LinearProblem:
         `z` (P,) are their products with the model's residual, `inside` (k, P) with an orthonormal basis of
         the model's columns.
         """
-        if not len(self.first):
+        first = self.shared.first
+        if not len(first):
             return np.zeros(0)
         k = len(inside)
         if not k:
-            return np.asarray(np.add.reduceat(z**2, self.first))
+            return np.asarray(np.add.reduceat(z**2, first))
         # With A = basisᵀ · block, the gain of a block is zᵀ H z, H = ((1 + ε) 1 − AᵀA)⁻¹. The ridge ε
         # replaces a rank decision: along a direction inside the model z is zero too. The ridge loses 1e-4
         # of the gain, more than any price if the gain is a bias of hundreds of uncertainties; the
         # refinement step zᵀ(H + εH²)z reduces the loss to 1e-8.
         gains = []
-        least, wide = 1 + limits.independent, len(self.first)
+        least, wide = 1 + limits.independent, len(first)
         for members, places, size in self._groups:
             if size >= k:
                 wide = members.start
@@ -205,8 +204,8 @@ class LinearProblem:
             along = z[places].reshape(-1, size).T
             solved = solve_small_systems(gram, along)
             gains.append((along * solved + limits.independent * solved**2).sum(axis=0))
-        if wide < len(self.first):
-            gains.append(_gains_of_wide_blocks(z, inside, self.first[wide:]))
+        if wide < len(first):
+            gains.append(_gains_of_wide_blocks(z, inside, first[wide:]))
         return np.concatenate(gains)
 
     def pair_gains(self, z: Floats, inside: Floats, gram: Floats) -> Floats:
@@ -218,7 +217,7 @@ class LinearProblem:
         """
         # Orthonormalise the part of each block outside the model.
         z, left = z.copy(), gram - inside.T @ inside
-        alone = np.zeros(len(self.first))
+        alone = np.zeros(len(self.shared.width))
         halves = []
         for members, places, size in self._groups:
             outside = inside[:, places].reshape(len(inside), members.stop - members.start, size)
@@ -234,32 +233,25 @@ class LinearProblem:
                 left[places] = (half @ left[places].reshape(-1, size, len(z))).reshape(-1, len(z))
             left = np.ascontiguousarray(left.T)
         # The gain of both is the gain of one, and of the other beyond it.
-        both = np.full((len(self.first), len(self.first)), -np.inf)
+        both = np.full((len(alone), len(alone)), -np.inf)
         for members, places, size in self._groups:
             along = left[places, places.start :].reshape(-1, size, len(z) - places.start).transpose(1, 0, 2)
             own = z[places].reshape(-1, size).T[:, :, None]
             rest = z[places.start :] - (own * along).sum(axis=0)
-            first = self.first[members.start :] - places.start
+            first = self.shared.first[members.start :] - places.start
             both[members, members.start :] = _gains_of_wide_blocks(rest, along, first)
         return both + alone[:, None]
 
     def subset(self, chosen: NDArray[np.intp]) -> LinearProblem:
         """Return the problem restricted to the terms with the numbers `chosen`, in ascending order."""
-        count = len(self.first)
-        shared, own = chosen[chosen < count].tolist(), (chosen[chosen >= count] - count).tolist()
-        index = columns_of(self.first, self.width, shared)
-        width = self.width[shared]
+        count = len(self.shared.width)
         return replace(
             self,
             terms=tuple(self.terms[k] for k in chosen),
-            columns=np.ascontiguousarray(self.columns[:, index]),
-            first=(np.cumsum(width) - width).astype(np.intp),
-            width=self.width[chosen],
-            back=tuple(self.back[k] for k in shared),
+            shared=self.shared.subset(chosen[chosen < count]),
             cost=self.cost[chosen],
             column_price=self.column_price[chosen],
-            prior=tuple(self.prior[k] for k in shared),
-            split=None if self.split is None else self.split.subset(own),
+            split=None if self.split is None else self.split.subset(chosen[chosen >= count] - count),
         )
 
     def with_inflation(self, inflation: float) -> LinearProblem:
@@ -270,9 +262,8 @@ class LinearProblem:
         if inflation == self.inflation:
             return self
         factor = inflation / self.inflation
-        split = self.split and self.split.with_prior([factor * own for own in self.split.prior])
-        whole = self if split is None else replace(self, split=split)
-        return whole._with_prior([factor * own for own in self.prior], inflation)
+        split = None if self.split is None else self.split.with_prior(factor)
+        return replace(self, shared=self.shared.with_prior(factor), split=split, inflation=inflation)
 
     def with_covariance(self, features: Floats) -> LinearProblem:
         """Return the problem with the covariance F Fᵀ of features F (rows, k) added to the noise."""
@@ -281,33 +272,13 @@ class LinearProblem:
         values, vectors = np.linalg.eigh(features @ features.T)
         white = (vectors / np.sqrt(1 + np.maximum(values, 0.0))) @ vectors.T
         # The prior of an amplitude does not change.
-        moved = replace(self, columns=white @ self.columns, target=white @ self.target)
-        return moved._with_prior(self.prior, self.inflation)
-
-    def _with_prior(self, prior: Sequence[Floats], inflation: float) -> LinearProblem:
-        """Return the problem with another Gaussian prior of the amplitudes of each term with `columns`.
-
-        `prior` holds for each term the precision matrix (d, d) of its d amplitudes, multiplied by the noise
-        variance; this variance already contains the factor `inflation`.
-        """
-        columns = np.empty_like(self.columns)
-        back: list[Floats] = []
-        turned: list[Floats] = []
-        for members, places, size in self._groups:
-            stack = self.columns[:, places].reshape(len(columns), -1, size).transpose(1, 0, 2)
-            # Orthonormalise each block again, together with its new prior rows.
-            held = np.array(prior[members])
-            gram = stack.transpose(0, 2, 1) @ stack + held
-            turn = np.linalg.inv(np.linalg.cholesky(gram)).transpose(0, 2, 1)
-            columns[:, places] = (stack @ turn).transpose(1, 0, 2).reshape(len(columns), -1)
-            back.extend(own @ half for own, half in zip(self.back[members], turn, strict=True))
-            turned.extend(turn.transpose(0, 2, 1) @ held @ turn)
-        return replace(self, columns=columns, back=tuple(back), prior=tuple(turned), inflation=inflation)
+        moved = replace(self.shared, columns=(white @ self.columns)[None])
+        return replace(self, shared=moved.with_prior(), target=white @ self.target)
 
     @cached_property
     def _groups(self) -> list[tuple[slice, slice, int]]:
         """Terms in groups of equal width: slice of their numbers, slice of their columns, width."""
-        return runs(self.width[: len(self.first)])
+        return runs(self.shared.width)
 
     def gain(self, model: Sequence[int]) -> float:
         """Return the decrease of χ² by a model with its most probable amplitudes.
@@ -328,7 +299,7 @@ class LinearProblem:
         # Each block is orthonormal together with its prior rows, so its own part is the identity.
         for k in model:
             own = slice(start, start + int(self.width[k]))
-            if k < len(self.first):
+            if k < len(self.shared.width):
                 gram[own, own] = np.eye(int(self.width[k]))
             else:  # columns of single sessions are projected off the shared base afterwards
                 gram[own, own] += self.prior_of(k)
@@ -438,35 +409,19 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
     # The last terms have amplitudes of their own in each session.
     own = {} if _sessions_share_noise(fit) else _terms_of_sessions(fit, terms)
     shared = [term for k, term in enumerate(terms) if k not in own]
-    rows = len(target)
     # All rows as one session; its base model is projected out.
-    whole = np.arange(rows)[None], (base[None], base[None, :, :0])
-    numbers, blocks, prior = _blocks(fit, shared, *whole)
-    # Only the columns that the readings show, with terms of equal width side by side.
-    order = np.lexsort((numbers, blocks.total))[int((blocks.total == 0).sum()) :].tolist()
-    index = columns_of(blocks.first, blocks.width, order)
-    columns = blocks.columns[0][:, index[blocks.seen[0, index]]]
-    back, held = ([one[k][0] for k in order] for one in (blocks.back, prior))
-    for i, k in enumerate(order):
-        if blocks.total[k] < blocks.width[k]:
-            shown = blocks.seen[0, blocks.places(k)]
-            back[i], held[i] = back[i][:, shown], held[i][shown][:, shown]
-    width = blocks.total[order]
-    first = (np.cumsum(width) - width).astype(np.intp)
+    place = np.arange(len(target))[None]
+    numbers, blocks, prices = _blocks(fit, shared, place, (base[None], base[None, :, :0]))
     made = LinearProblem(
-        terms=tuple(shared[numbers[k]] for k in order),
-        columns=columns,
-        first=first,
-        width=width,
+        terms=tuple(shared[k] for k in numbers),
+        shared=blocks,
         target=target,
-        dof=rows - base.shape[1],
-        back=tuple(back),
+        dof=len(target) - base.shape[1],
         hidden=(),
         cost=np.zeros(0),
-        column_price=np.add.reduceat(_column_prices(columns), first) if len(first) else np.zeros(0),
-        prior=tuple(np.zeros((size, size)) for size in width.tolist()),
+        column_price=prices,
         joint=bool(fit.data.model.origins),
-    )._with_prior(held, 1.0)
+    )
     if own:
         made = _with_split(made, fit, [terms[k] for k in own], list(own.values()))
     for k, term in enumerate(made.terms):
@@ -525,25 +480,22 @@ def _with_split(
     for own, index in zip(place, members, strict=True):
         own[: len(index)] = index
     bases = session_bases(by_session(fit.white(fit.base_columns), place))
-    numbers, split, prior = _blocks(fit, of_one, place, bases)
-    shown = np.flatnonzero(split.total).tolist()
-    price = np.add.reduceat(_column_prices(split.columns).sum(axis=0), split.first)
+    numbers, split, prices = _blocks(fit, of_one, place, bases)
     return replace(
         problem,
-        terms=(*problem.terms, *(terms[numbers[k]] for k in shown)),
-        width=np.concatenate([problem.width, split.total[shown]]),
-        column_price=np.concatenate([problem.column_price, price[shown]]),
-        split=split.subset(shown).with_prior([prior[k] for k in shown]),
+        terms=(*problem.terms, *(terms[k] for k in numbers)),
+        column_price=np.concatenate([problem.column_price, prices]),
+        split=split,
     )
 
 
 def _blocks(
     fit: Fit, terms: Sequence[Term], place: NDArray[np.intp], bases: tuple[Floats, Floats]
-) -> tuple[NDArray[np.intp], SessionBlocks, list[Floats]]:
-    """Return the columns of terms in each session, sorted by their width, and the prior of the amplitudes.
+) -> tuple[list[int], SessionBlocks, Floats]:
+    """Return the terms that the readings show, sorted by width, with their columns and prices.
 
-    The first result (M,) are the indices in `terms` in this order. `place` and `bases` are as in
-    `SessionBlocks.of`, which returns the other two results.
+    The first result are their indices in `terms`, the last one are the prices (M,) of their columns in
+    nats. `place` and `bases` are as in `SessionBlocks.of`.
     """
     raw, width = fit.candidates(terms)
     spread = amplitude_spreads(fit.data.model, terms, width)
@@ -551,7 +503,12 @@ def _blocks(
     index = columns_of(np.cumsum(width) - width, width, numbers)
     white = fit.white(raw)
     columns = by_session(white[:, index], place)
-    return numbers, *SessionBlocks.of(len(white), place, bases, columns, spread[index], width[numbers])
+    blocks = SessionBlocks.of(len(white), place, bases, columns, spread[index], width[numbers])
+    shown = np.flatnonzero(blocks.total).astype(np.intp)
+    blocks = blocks.subset(shown)
+    each = _column_prices(blocks.columns).sum(axis=0)
+    prices = np.add.reduceat(each, blocks.first) if len(shown) else np.zeros(0)
+    return numbers[shown].tolist(), blocks.with_prior(), prices
 
 
 def reduced(fit: Fit, beside: Sequence[Term] = ()) -> tuple[Floats, Floats]:
@@ -601,7 +558,7 @@ def amplitudes(problem: LinearProblem, model: Sequence[int]) -> list[Floats]:
     """Return the most probable amplitudes (d,) of each term of a model, by least squares with the prior."""
     if not len(model):
         return []
-    if len(model) == 1 and model[0] < len(problem.first):
+    if len(model) == 1 and model[0] < len(problem.shared.width):
         return [problem.back_of(model[0]) @ (problem.target @ problem.block(model[0]))]
     columns, gram = problem.columns_and_gram(model)
     solved = np.linalg.lstsq(gram, columns.T @ problem.target, rcond=1e-12)[0]

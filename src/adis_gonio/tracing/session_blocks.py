@@ -1,9 +1,10 @@
-"""Columns of terms with amplitudes of their own in each session, arranged session by session.
+"""Columns of terms, orthonormal by term, arranged session by session.
 
-Such columns are zero in the rows of all other sessions, so products of columns are sums over sessions of
-small products. Parameters of the base model that belong to one session (the start angle) are projected out
-of the columns of this session. The other base parameters are the columns `SessionBlocks.base`; they count
-as part of every model.
+Terms with amplitudes common to all sessions have all rows as one session. The columns of a term with
+amplitudes of its own in each session are zero in the rows of all other sessions, so products of columns are
+sums over sessions of small products. Parameters of the base model that belong to one session (the start
+angle) are projected out of the columns of this session. The other base parameters are the columns
+`SessionBlocks.base`; they count as part of every model.
 
 A model has columns D of single sessions and shared columns F (the base included). D is made orthonormal in
 each session, and F after its projection off D. An added term then changes χ² by zᵀ (Δ − LᵀL)⁻¹ z, with the
@@ -64,7 +65,7 @@ class SessionBlocks:
     place : (S, n) int
         Number of each row of a session; `rows` where a session has fewer than n.
     base : (S, n, b) float
-        Orthonormal columns of the base parameters that several sessions share.
+        Orthonormal columns of the base parameters that several sessions share; none for a single session.
     columns : (S, n, P) float
         Columns of all terms in order. The columns Q of one term in one session have QᵀQ + prior = 1.
     width : (M,) int
@@ -93,15 +94,13 @@ class SessionBlocks:
         columns: Floats,
         spread: Floats,
         width: NDArray[np.intp],
-    ) -> tuple[SessionBlocks, list[Floats]]:
+    ) -> SessionBlocks:
         """Make the blocks from whitened columns (S, n, P) of terms in ascending order of width.
 
-        Returned with the blocks are the Gram matrices (S, width, width) of each term's prior, for
-        `with_prior`.
+        The columns are orthonormal without the prior; `with_prior` makes them so together with it.
 
         `base` are the orthonormal base columns of single sessions and of several sessions, (S, n, k) and
-        (S, n, b); `spread` (P,) are the prior standard deviations of the amplitudes. The prior of the
-        blocks is zero.
+        (S, n, b); `spread` (P,) are the prior standard deviations of the amplitudes.
         """
         own, shared = base
         columns, length = project_off_base(own, columns, width)
@@ -123,8 +122,7 @@ class SessionBlocks:
             away = half / spread[places].reshape(-1, 1, size, 1)
             back.extend(half)
             prior.extend(away.swapaxes(-1, -2) @ away)
-        none = [np.zeros((len(seen), size, size)) for size in width.tolist()]
-        return cls(rows, place, shared, columns, width, seen, tuple(back), tuple(none)), prior
+        return cls(rows, place, shared, columns, width, seen, tuple(back), tuple(prior))
 
     def by_row(self, values: Floats) -> Floats:
         """Arrange values (S, n, …) of all sessions as rows (rows, …)."""
@@ -149,11 +147,13 @@ class SessionBlocks:
 
     def of_term(self, term: int) -> Floats:
         """Return the columns (rows, S · width) of one term, without those that no session shows."""
-        own = self.columns[..., self.places(term)]
+        own, seen = self.columns[..., self.places(term)], self.seen[:, self.places(term)].ravel()
         sessions, _, width = own.shape
+        if sessions == 1:
+            return np.asarray(own[0] if seen.all() else own[0][:, seen])
         out = np.zeros((self.rows + 1, sessions, width))
         out[self.place, np.arange(sessions)[:, None]] = own
-        flat = out[:-1].reshape(self.rows, -1)[:, self.seen[:, self.places(term)].ravel()]
+        flat = out[:-1].reshape(self.rows, -1)[:, seen]
         base = self.by_row(self.base)
         return np.asarray(flat - base @ (base.T @ flat))
 
@@ -169,35 +169,33 @@ class SessionBlocks:
         """Return the Gram matrix of the prior of all columns of one term."""
         return self.joined(self.prior[term], term)[self.seen[:, self.places(term)].ravel()]
 
-    def subset(self, chosen: Sequence[int]) -> SessionBlocks:
+    def subset(self, chosen: NDArray[np.intp]) -> SessionBlocks:
         """Return the blocks of the chosen terms, in ascending order."""
         index = columns_of(self.first, self.width, chosen)
         return replace(
             self,
             columns=np.ascontiguousarray(self.columns[..., index]),
             seen=self.seen[:, index],
-            width=self.width[list(chosen)],
+            width=self.width[chosen],
             back=tuple(self.back[k] for k in chosen),
             prior=tuple(self.prior[k] for k in chosen),
         )
 
-    def with_prior(self, prior: Sequence[Floats]) -> SessionBlocks:
-        """Return the blocks with other Gram matrices (S, width, width) of the prior of each term.
-
-        Each block is made orthonormal together with its prior again.
-        """
+    def with_prior(self, factor: float = 1.0) -> SessionBlocks:
+        """Return the blocks orthonormal together with their prior, which is multiplied by a factor."""
         columns = self.columns.copy()
         back: list[Floats] = []
-        turned: list[Floats] = []
+        prior: list[Floats] = []
         for members, places, size in runs(self.width):
-            held = np.array(prior[members])
-            # The columns and the old prior give the identity; columns that are not seen are zero.
-            gram = np.eye(size) - np.array(self.prior[members]) + held
+            stack, held = _by_term(columns[..., places], size), factor * np.array(self.prior[members])
+            # Columns of zeros stay as they are.
+            hidden = ~self.seen[:, places].reshape(len(columns), -1, 1, size).swapaxes(0, 1)
+            gram = stack.swapaxes(-1, -2) @ stack + held + hidden * np.eye(size)
             turn = np.linalg.inv(np.linalg.cholesky(gram)).swapaxes(-1, -2)
-            columns[..., places] = _by_row(_by_term(columns[..., places], size) @ turn)
-            back.extend(np.array(self.back[members]) @ turn)
-            turned.extend(turn.swapaxes(-1, -2) @ held @ turn)
-        return replace(self, columns=columns, back=tuple(back), prior=tuple(turned))
+            columns[..., places] = _by_row(stack @ turn)
+            back.extend(own @ half for own, half in zip(self.back[members], turn, strict=True))
+            prior.extend(turn.swapaxes(-1, -2) @ held @ turn)
+        return replace(self, columns=columns, back=tuple(back), prior=tuple(prior))
 
     def basis(
         self, own: Sequence[int], shared: Floats, together: Floats, *, with_prior: bool = True
