@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from adis_gonio.device.bus import FrameStream, SpiBus, SpiTiming, Words
-from adis_gonio.device.bus.forwarding import ForwardingBus
+from adis_gonio.device.bus.contract import ForwardingBus
 
 SLOW = SpiTiming(250_000, 75.0, 160.0)
 

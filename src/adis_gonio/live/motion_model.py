@@ -15,8 +15,7 @@ of the filter.
 It has the angle (deg), the zero rate of the gyro (°/s), the relative error of its gain, its sensitivity to
 acceleration along X and Y (°/s/g), the distance of the sensor from the stage's axis (mm, X and Y), the
 disturbance of the reading perpendicular to gravity (mg, in this time step and the one before: an
-autoregressive process of second order), and the fast octaves of the accelerometers' 1/f noise in this
-direction (mg).
+autoregressive process of second order).
 
 The gyro is a known input except for its errors. These enter with measured factors, so the model stays
 linear. The error of the gain is a random walk in the angle, because imperfectly calibrated accelerometers
@@ -28,10 +27,9 @@ autoregressive process of second order (tremor at 8 to 12 Hz, a table that rings
 shocks. The coefficients of the autoregressive process follow from the autocovariances (Yule-Walker
 equations).
 
-**1/f noise of the accelerometers.** Each octave has half the square of the Allan floor. The fastest octaves
-change while the filter averages. They are states, so that they are averaged correctly and their remainder
-is in u. One state has two octaves: processes with corners a factor of four apart add up to 1/f within a
-few per cent. Slower octaves are constant over a few seconds and are added to u.
+**1/f noise of the accelerometers.** Each octave has half the square of the Allan floor. All octaves are
+added to u as if they were constant; the filter averages the fastest ones a little, so that u is rather
+wide.
 
 **Filter and smoother.** Each step k has one scalar observation y, the angle of gravity:
 
@@ -418,36 +416,6 @@ def _places(count: int) -> tuple[Floats, float]:
 OCTAVES = 17
 """Number of octaves of frequency from 2 Hz down to one cycle a day, over which the accelerometers' 1/f
 noise acts: the calibration may be a day old."""
-CORNERS_HZ = 2.0 ** np.array([0.5, -1.5, -3.5])
-"""Corner frequencies of the 1/f processes, each in the middle of two of the six fastest octaves."""
-DRIFT_STATES = len(CORNERS_HZ)
-_EACH = 2
-
-
-def slow_drift_mg(floor_mg: float) -> float:
-    """Return the standard deviation in mg, on an axis, of the 1/f noise that the state does not contain.
-
-    It is the noise in the slow octaves; the state of the Kalman filter has the fast octaves. `floor_mg` is
-    the smallest Allan deviation of the axis.
-    """
-    return floor_mg * math.sqrt((OCTAVES - _EACH * DRIFT_STATES) / 2)
-
-
-def drift_process_mg2(floor_mg: float) -> float:
-    """Return the variance in mg² of each state of 1/f noise, which represents two octaves.
-
-    `floor_mg` is the smallest Allan deviation of an axis.
-    """
-    return floor_mg**2 * _EACH / 2
-
-
-def drift_memory(length_s: float, turn_deg: float) -> Floats:
-    """Return the factors (DRIFT_STATES,) by which the states of 1/f noise decay in a time and a turn.
-
-    `length_s` is the time in s, `turn_deg` the turn in degrees. A turn also reduces the correlation: the
-    noise belongs to the sensor's axes, and after a turn another axis is perpendicular to gravity.
-    """
-    return np.asarray(np.exp(-2 * np.pi * CORNERS_HZ * length_s) * math.cos(math.radians(turn_deg)))
 
 
 @dataclass(frozen=True)
@@ -519,8 +487,7 @@ def advance(state: StateEstimate, step: TimeStep) -> StateEstimate:
 
 
 ANGLE, ZERO, SCALE, G_X, G_Y, LEVER_X, LEVER_Y, NOW, BEFORE = range(9)
-DRIFT = slice(9, 9 + DRIFT_STATES)
-SIZE = 9 + DRIFT_STATES
+SIZE = 9
 LEVER_MM = 50.0
 """Standard deviation, in mm, of each component of the sensor's distance from the stage's axis (D)."""
 BEND = 0.012
@@ -613,7 +580,6 @@ class MotionModel:
         self._sensing = sensing
         self._gyros = gyros
         self._bend = bend
-        self._drift_mg2 = drift_process_mg2(sensing.drift_mg)
 
     def begin(self, angle_deg: float) -> StateEstimate:
         """Return the state before the first step, with the uncertainty of an unknown angle.
@@ -624,7 +590,6 @@ class MotionModel:
         u = np.array([
             OPEN_DEG, gyros.zero_dps, math.hypot(gyros.scale, self._bend), gyros.g_dps_per_g,
             gyros.g_dps_per_g, LEVER_MM, LEVER_MM, START_MG, START_MG,
-            *[math.sqrt(self._drift_mg2)] * DRIFT_STATES,
         ])  # fmt: skip
         mean = np.zeros(SIZE)
         mean[ANGLE] = angle_deg
@@ -656,10 +621,6 @@ class MotionModel:
         process[ZERO, ZERO] = WALK_DPS_PER_RT_S**2 * length_s
         process[SCALE, SCALE] = 2 * self._bend**2 * abs(math.radians(turned.turn_deg))
         process[NOW, NOW] = disturbance.drive_mg2
-        # First-order processes of the 1/f noise.
-        kept = drift_memory(length_s, turned.turn_deg)
-        f[DRIFT, DRIFT] = np.diag(kept)
-        process[DRIFT, DRIFT] = np.diag(self._drift_mg2 * (1 - kept**2))
         # After a long gap the angle starts again from gravity.
         if turned.lost:
             f[ANGLE, :] = f[NOW, :] = f[BEFORE, :] = 0.0
@@ -669,14 +630,14 @@ class MotionModel:
         length_mg = abs(turned.gravity)
         if length_mg < LEAST_MG:
             return TimeStep(f, shift, process, np.zeros(SIZE), None, math.inf)
-        # Degrees per mg across gravity: disturbances, drift and lever arm shift the observed angle.
+        # Degrees per mg across gravity: disturbances and lever arm shift the observed angle.
         per_mg = math.degrees(1.0 / length_mg)
         along = turned.gravity / length_mg
         design = np.zeros(SIZE)
         design[ANGLE] = 1.0
         for k, lever in zip((LEVER_X, LEVER_Y), turned.lever_mg, strict=True):
             design[k] = per_mg * (lever * along.conjugate()).imag
-        design[NOW] = design[DRIFT] = per_mg
+        design[NOW] = per_mg
         predicted = float(f[ANGLE] @ before.mean[:SIZE]) + shift[ANGLE]
         observed = predicted + wrap_degrees(seen_deg - predicted)
         return TimeStep(f, shift, process, design, observed, per_mg**2 * disturbance.white_mg2)
@@ -974,12 +935,13 @@ class AngleSmoother:
         mean, u = state.mean[SIZE:], np.sqrt(np.maximum(np.diag(state.covariance)[SIZE:], 0.0))
         notes = tuple(name for name in _NOTES if any(name in one.notes for one in self._seen))
         drift_dps = mean[ZERO] + at.force_g @ mean[[G_X, G_Y]]
-        # Standard deviation of the angle by the 1/f noise outside the state.
-        slow_deg = math.degrees(slow_drift_mg(self._sensing.drift_mg) / max(abs(at.gravity), 1.0))
+        # Standard deviation of the angle by the 1/f noise of all octaves.
+        drift_mg = self._sensing.drift_mg * math.sqrt(OCTAVES / 2)
+        drift_deg = math.degrees(drift_mg / max(abs(at.gravity), 1.0))
         return SmoothedAngle(
             at.increment.time_s - self._sensing.delay_s,
             wrap_degrees(float(mean[ANGLE])),
-            math.hypot(float(u[ANGLE]), slow_deg),
+            math.hypot(float(u[ANGLE]), drift_deg),
             at.rate_dps * (1 - float(mean[SCALE])) - float(drift_dps),
             float(mean[ZERO]),
             float(u[ZERO]),

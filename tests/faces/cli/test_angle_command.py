@@ -113,7 +113,7 @@ def test_a_reader_that_goes_away_ends_it_quietly():
 
 def test_a_time_that_is_none_is_refused(capsys):
     assert main(["angle", URL, "--seconds", "0"]) == 2
-    assert "--seconds is 0" in capsys.readouterr().err
+    assert "--seconds': '0': give a number above 0" in capsys.readouterr().err
 
 
 READING = LiveAngle(12.0, -170.5, -170.123, 0.0123, True, 2.25, 24.5, 3)

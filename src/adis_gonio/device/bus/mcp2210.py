@@ -30,9 +30,8 @@ Errors
     (busy, stuck engine) has clocked nothing and is tried once more; a transfer that was accepted is never
     repeated. If the device does not take a report, nothing more is sent to it until the bus is used again.
 Writes
-    A write of hidapi has no time-out: on hidraw the kernel waits 5 s for a device that takes nothing, on
-    libusb hidapi waits 1 s and then reports a failure. A thread therefore writes, and the caller limits its
-    wait.
+    If a device takes no report, a write of hidapi fails after 5 s on hidraw (the kernel's limit) and after
+    1 s on libusb, whatever `timeout_ms` is.
 Not protected
     The data of an answer carry no checksum of their own. On the cable the CRC of USB protects them.
 """
@@ -43,9 +42,7 @@ import contextlib
 import importlib
 import struct
 import sys
-import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
 from enum import IntEnum
 from typing import Any, NamedTuple
 from urllib.parse import quote
@@ -297,76 +294,11 @@ class Progress(NamedTuple):
         return cls.parse(answer)
 
 
-WRITE_S = 2.5
-"""Time limit in s of a write.
-
-It is longer than hidapi's own limit of 1 s on libusb, so that no write is pending there, and half of the
-kernel's limit on hidraw. A board takes a report within 1 ms, but a busy host may be slow.
-"""
 AT_ONCE_S = 0.5
-"""Time in s after which a write that fails was not accepted by the device.
+"""Time in s after which a write that fails was not taken by the device.
 
 A write without a device fails at once.
 """
-LONGEST_WRITE_S = 6.0
-"""Time in s after which the kernel has certainly cancelled a write."""
-
-
-class TimedWrites:
-    """Wraps a device of hidapi so that `write` raises `TimeoutError` if the device takes no report.
-
-    Parameters
-    ----------
-    device : hid.device
-        Open device; `close` also closes it.
-    timeout_s : float
-        Longest time for a write, including a pending write before it.
-    """
-
-    def __init__(self, device: Any, timeout_s: float = WRITE_S) -> None:
-        self._device = device
-        self._timeout_s = timeout_s
-        self._thread = ThreadPoolExecutor(1, "mcp2210-write")
-        self._last: Future[int] | None = None
-
-    def write(self, data: bytes, /) -> int:
-        """Send a report that begins with a report id; return its size, or a negative number on failure."""
-        if self._last is not None and not wait([self._last], self._timeout_s).done:
-            raise TimeoutError("an earlier report is still pending")
-        self._last = self._thread.submit(self._write, data)
-        return self._last.result(self._timeout_s)
-
-    def _write(self, data: bytes) -> int:
-        begin_s = time.monotonic()
-        sent: int = self._device.write(data)
-        if sent < 0 and time.monotonic() - begin_s > AT_ONCE_S:
-            raise TimeoutError("hidapi's own time-out")
-        return sent
-
-    def read(self, size: int, timeout_ms: int = 0, /) -> list[int]:
-        """Return a report of at most `size` bytes, or an empty list after the time-out.
-
-        Raises `OSError` if the device is unplugged.
-        """
-        report: list[int] = self._device.read(size, timeout_ms)
-        return report
-
-    def set_nonblocking(self, on: int, /) -> int:
-        """Make reads without a time-out return at once even if no data have arrived, if `on` is 1."""
-        return int(self._device.set_nonblocking(on))
-
-    def close(self) -> None:
-        """Close the device after a running write has ended, because hidapi then frees its memory."""
-        self._thread.shutdown(wait=False)
-        if self._last is None or wait([self._last], LONGEST_WRITE_S).done:
-            self._device.close()
-        else:
-            self._last.add_done_callback(self._close_late)
-
-    def _close_late(self, _: Future[int]) -> None:
-        with contextlib.suppress(OSError, ValueError):
-            self._device.close()
-
 
 _TRIES = 2
 """Number of times that a transfer is sent if the device refuses it."""
@@ -379,7 +311,7 @@ class Mcp2210Bus(host.UsbBus):
 
     Parameters
     ----------
-    device : hid.device or TimedWrites
+    device : hid.device
         The open device; the bus closes it.
     options : UsbOptions
         Pins and time-out. RST is driven low or left floating; GP6 counts events.
@@ -536,14 +468,14 @@ class Mcp2210Bus(host.UsbBus):
         raise ProtocolError(f"{self.url}: only answers to other commands; does another program use it?")
 
     def _write(self, report: bytes) -> None:
+        begin_s = self._clock.now_s()
         try:
             sent = self._device.write(b"\0" + report)
-            self._takes_reports = True
-        except TimeoutError as error:
-            self._takes_reports = False
-            raise BusTimeoutError(f"{self.url}: the device takes no report within {WRITE_S:g} s") from error
         except (OSError, ValueError) as error:
             raise host.gone_error(self.url) from error
+        self._takes_reports = sent >= 0
+        if sent < 0 and self._clock.now_s() - begin_s > AT_ONCE_S:
+            raise BusTimeoutError(f"{self.url}: the device takes no report")
         if sent < 0:
             raise host.gone_error(self.url)
 
@@ -580,7 +512,7 @@ def open_from_url(url: BusUrl, *, hid: Any = None, clock: host.Clock = host.WALL
     Parameters
     ----------
     hid : module
-        Module to use instead of hidapi, whose writes must not block; None is hidapi.
+        Module to use instead of hidapi; None is hidapi.
     clock : Clock
         The bus's clock.
 
@@ -596,7 +528,6 @@ def open_from_url(url: BusUrl, *, hid: Any = None, clock: host.Clock = host.WALL
     options = host.UrlOptions(url, ("cs", "reset_gpio", "event_counter", "timeout_ms", "backend", "path"))
     backend = options.one_of("backend", _BACKENDS)
     usual = host.UsbOptions.of(options, PINS, EVENT_PIN, f"GP{EVENT_PIN}")
-    blocks = hid is None
     hid = hid or _load(backend)
     boards = _boards(hid)
     wanted = options.text("path")
@@ -608,8 +539,6 @@ def open_from_url(url: BusUrl, *, hid: Any = None, clock: host.Clock = host.WALL
     board = host.choose_board(url, "such MCP2210" if boards else "MCP2210", fits, boards, _devices)
     with contextlib.ExitStack() as stack:
         device = _open(hid, url.text, board, stack)
-        if blocks:
-            device = TimedWrites(device)
         stack.callback(device.close)
         return Mcp2210Bus(device, url.text, usual, clock).take_over(stack)
 

@@ -43,8 +43,15 @@ from adis_gonio.base import errors
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import AdisGonioError, DataError, OutputError, ProtocolError, UsageError
 from adis_gonio.base.output import check_output
-from adis_gonio.device.bus.contract import Capability, FrameBlock, FrameStream, SpiBus, SpiTiming, Words
-from adis_gonio.device.bus.forwarding import ForwardingBus
+from adis_gonio.device.bus.contract import (
+    Capability,
+    ForwardingBus,
+    FrameBlock,
+    FrameStream,
+    SpiBus,
+    SpiTiming,
+    Words,
+)
 from adis_gonio.device.bus.host import UrlOptions
 from adis_gonio.device.bus.opening import BusUrl, open_bus
 

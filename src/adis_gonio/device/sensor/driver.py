@@ -59,9 +59,6 @@ from adis_gonio.device.sensor.scanning import (
     ScanLayout,
     ScanStream,
     StreamedScans,
-    edge_at_update,
-    edges_arrive,
-    wrong_edge_error,
 )
 from adis_gonio.device.sensor.settings import (
     ALARM_SOURCES,
@@ -438,13 +435,8 @@ class Adis16354(Closing):
         looks = data_ready is None and usable and (configuration.data_ready or not leave_registers)
         ready, at_end = bool(data_ready), contextlib.ExitStack()
         with contextlib.ExitStack() as failed:
-            if looks and leave_registers:
-                ready = edges_arrive(self.bus, period_s)
-                streams = ready and Capability.STREAM in self.bus.capabilities
-                if streams and not edge_at_update(self.bus, table, period_s):
-                    raise wrong_edge_error(self.bus)
-            elif looks:
-                loan = DataReadyLoan(self, table, period_s)
+            if looks:
+                loan = DataReadyLoan(self, table, period_s, writes=not leave_registers)
                 failed.callback(loan.give_back)
                 at_end.callback(loan.give_back)
                 ready = loan.wired

@@ -17,7 +17,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -33,14 +33,6 @@ CONFIDENCES: dict[Confidence, str] = {
     "D": "an estimate",
 }
 """Evidence for a row of the register table, by the letter of its confidence."""
-
-
-class Access(StrEnum):
-    """Access that a register allows: read, write, or both."""
-
-    READ = "r"
-    READ_WRITE = "rw"
-    WRITE = "w"
 
 
 class Kind(StrEnum):
@@ -108,7 +100,7 @@ class Register:
     address: int
     bits: int
     signed: bool
-    access: Access
+    access: Literal["r", "rw", "w"]
     kind: Kind
     meaning: str
     default: int = 0
@@ -127,12 +119,12 @@ class Register:
     @property
     def readable(self) -> bool:
         """True if the register may be read."""
-        return self.access is not Access.WRITE
+        return self.access != "w"
 
     @property
     def writable(self) -> bool:
         """True if the register may be written."""
-        return self.access is not Access.READ
+        return self.access != "r"
 
     def number(self, word: int) -> int:
         """Return the integer in a word of the register: flags and unused bits removed, sign extended."""
@@ -262,7 +254,7 @@ def _parse(table: str) -> Iterator[Register]:
         fields = [Field.parse(part) for part in parts]
         source = "DS; LSB from code" if kind == Kind.ACCEL_OFFSET else "DS"
         yield Register(
-            name, int(address, 16), int(width[1:]), width[0] == "s", Access(access), Kind(kind), meaning,
+            name, int(address, 16), int(width[1:]), width[0] == "s", cast(Any, access), Kind(kind), meaning,
             default, kind in _OUTPUTS, writable, flash, tuple(fields), source, cast(Confidence, confidence),
         )  # fmt: skip
 

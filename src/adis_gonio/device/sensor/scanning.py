@@ -127,15 +127,6 @@ def edge_at_update(bus: SpiBus, table: Sequence[Register], period_s: float) -> b
     return bool((new[:, 0] & ~within).mean() >= _LEADS_SHARE)
 
 
-def wrong_edge_error(bus: SpiBus) -> ChipError:
-    """Make the error for data-ready edges that do not mark updates, since updates fall into their scans."""
-    return ChipError(
-        f"{bus.url}: the sensor's updates fall into scans that start at the data-ready edges (bit ND of a"
-        " register read twice): the edges are not the updates', or MSC_CTRL[1] selects the wrong end of the"
-        " pulse; check the line's wire (docs/hardware.md)"
-    )
-
-
 class DataReadyLoan:
     """Enables data-ready on DIO1, the line wired to the bridges, until the old setting is restored.
 
@@ -152,6 +143,8 @@ class DataReadyLoan:
         Registers of the scans.
     period_s : float
         Sample period in s.
+    writes : bool
+        False only checks data-ready as it is enabled now, and writes no register.
 
     Attributes
     ----------
@@ -168,13 +161,16 @@ class DataReadyLoan:
         Edges arrive, but not at the chip's updates. MSC_CTRL is restored.
     """
 
-    def __init__(self, sensor: Adis16354, table: Sequence[Register], period_s: float) -> None:
-        self._sensor = sensor
+    def __init__(
+        self, sensor: Adis16354, table: Sequence[Register], period_s: float, *, writes: bool = True
+    ) -> None:
+        self._sensor, self._writes = sensor, writes
         self.edge = "first"
         self._before = sensor.read(_ROW) & MASK
         self._ours = self._before
         try:
-            self._enable()
+            if writes:
+                self._enable()
             self.wired = edges_arrive(sensor.bus, period_s)
             if self.wired:
                 self._find_edge(table, period_s)
@@ -202,9 +198,15 @@ class DataReadyLoan:
         for _ in range(2):
             if edge_at_update(self._sensor.bus, table, period_s):
                 return
+            if not self._writes:
+                break
             self.edge = "last" if self.edge == "first" else "first"
             self._enable()
-        raise wrong_edge_error(self._sensor.bus)
+        raise ChipError(
+            f"{self._sensor.bus.url}: the sensor's updates fall into scans that start at the data-ready"
+            " edges (bit ND of a register read twice): the edges are not the updates', or MSC_CTRL[1]"
+            " selects the wrong end of the pulse; check the line's wire (docs/hardware.md)"
+        )
 
     def _enable(self) -> None:
         ours = _ROW.field("data_ready").mask

@@ -179,7 +179,7 @@ def history_command(
 @option.places
 @option.tolerance("Permissible error of an angle for your use (default: assume 0.1°).")
 @option.with_default(
-    "--first", "first_days", type=option.POSITIVE, default=365.25, metavar="DAYS",
+    "--first", "first_days", type=option.parse_positive, default=365.25, metavar="DAYS",
     help="Interval of a sensor without a known history.",
 )  # fmt: skip
 @option.index

@@ -291,7 +291,7 @@ def _show_registers(
             cells = [number, "" if row.kind in (Kind.FIELDS, Kind.COUNT) else str(quantity)]
             cells += [str(wanted.get(row.name, ""))] if wanted else []
         else:
-            access = row.access.value + (", flash" if row.flash_mask else "")
+            access = row.access + (", flash" if row.flash_mask else "")
             cells = [f"{row.bits}{'s' if row.signed else 'u'}", access, row.confidence]
             meaning += f" (default 0x{row.default:04X})" if row.default else ""
         listed.append([row.name, f"0x{row.address:02X}", *cells, meaning])
@@ -313,7 +313,7 @@ def _register_document(row: Register, quantity: Any) -> dict[str, Any]:
         name: getattr(row, name)
         for name in ("name", "address", "bits", "signed", "default", "meaning", "source")
     }
-    document |= {"access": row.access.value, "in_flash": bool(row.flash_mask), "confidence": row.confidence}
+    document |= {"access": row.access, "in_flash": bool(row.flash_mask), "confidence": row.confidence}
     if row.fields:
         document["fields"] = [
             {"name": field.name, "high": field.high, "low": field.low, "meaning": field.meaning}

@@ -9,7 +9,6 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,6 +33,8 @@ if TYPE_CHECKING:
     from adis_gonio.record.samples_writer import SamplesRecorder
 
 INTERRUPTED = 130
+LINE_S = 0.2
+"""Time in s that one line of a stream summarises."""
 NOTES = {
     "gap": "gap",
     "saturated": "too fast for the gyro",
@@ -53,15 +54,12 @@ MISFIT = (
     "--seconds --output --registers",
     {
         "Measuring": "--rate --filter --range --poll --leave-registers",
-        "Lines and file": "--every --gravity",
+        "File": "--gravity",
     },
 )
 @option.url
 @click.option("--registers", "names", help="Registers to scan, separated by commas.", metavar="NAME,…")
 @option.seconds
-@option.with_default(
-    "--every", "every_s", type=float, default=0.2, metavar="SECONDS", help="Screen: time per line."
-)
 @option.output("Record every scan to .csv[.gz].", at_once=True)
 @click.option("--rate", "rate_hz", type=float, metavar="HZ", help="Samples per second, 0.413 to 819.2.")
 @click.option(
@@ -83,7 +81,6 @@ def stream_command(
     url: str,
     names: str | None,
     seconds: float | None,
-    every_s: float,
     output: Path | None,
     gravity_mps2: float,
     **chip: Any,
@@ -97,8 +94,6 @@ def stream_command(
     and sets it back at the end, also after Ctrl-C. Without edges, or with --poll, it polls the scans. The
     other registers are unchanged unless --rate, --filter or --range is given.
     """
-    _check_positive("--seconds", seconds)
-    _check_positive("--every", every_s)
     with contextlib.ExitStack() as stack:
         part, configured, open_stream = _open_stream(stack, url, names, **chip)
         rate_hz, filter_m = configured["sample_rate_hz"], configured.get("filter_m")
@@ -111,16 +106,11 @@ def stream_command(
                     output, part, gravity_mps2=gravity_mps2, title=f"stream {url}", filter_m=filter_m
                 )
             )
-        show = ShownStream(max(1, round(every_s * rate_hz)), recorder)
+        show = ShownStream(max(1, round(LINE_S * rate_hz)), recorder)
         stack.callback(show.print_totals)  # also after a failure: the earlier scans remain
         stream = stack.enter_context(open_stream(min(show.scans_a_line, 1024)))
         say(f"{url.removesuffix(':')}: {rate_hz:.4g} samples/s, {stream.how}")
         show.run(stream, seconds)
-
-
-def _check_positive(flag: str, value: float | None) -> None:
-    if value is not None and not value > 0:
-        raise UsageError(f"{flag} is {value:g}: take a time above 0")
 
 
 def _open_stream(
@@ -230,9 +220,7 @@ class ShownStream:
         if self._columns is None:
             first = self._waiting[0]
             width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-            self._columns = Columns.fitting(first.registers, first.units, width)
-            if self._columns.note:
-                click.echo(self._columns.note, err=True)
+            self._columns = Columns(first.registers, first.units, width)
             click.echo("\n".join(self._columns.heads))
         click.echo(self._columns.line(self._waiting, since_s))
 
@@ -245,61 +233,40 @@ class ShownStream:
         click.echo(f"{counted(self._scans, 'scan')}, {self._lost} lost{more}{where}", err=True)
 
 
-_TIME = 9
-_MEANS_TIME = 7
-_FULL = 19
-_MEANS = 9
-
-
-@dataclass(frozen=True)
 class Columns:
     """Layout of the table that shows a stream, one line for each interval.
 
+    A screen too narrow for the standard deviations shows the means alone; 80 columns have room for the
+    default registers.
+
+    Parameters
+    ----------
+    names, units : sequence of str
+        Names of the registers, and the unit of each, empty without one.
+    width : int or None
+        Width of the screen in characters; None is unlimited.
+
     Attributes
     ----------
-    heads : tuple of str
+    heads : list of str
         Lines above the first line of values.
-    shown : int
-        Number of values shown, from the left.
-    cell, time_cell : int
-        Widths in characters of a value and of the time.
     spread : bool
         True if the standard deviation is shown next to the mean.
-    note : str
-        Message about values that did not fit on the screen, or an empty text.
     """
 
-    heads: tuple[str, ...]
-    shown: int
-    cell: int
-    time_cell: int
-    spread: bool
-    note: str = ""
-
-    @classmethod
-    def fitting(cls, names: Sequence[str], units: Sequence[str], width: int | None) -> Columns:
-        """Choose the layout of a table of registers `names` for a width in characters (None: unlimited).
-
-        `units` has the unit of each register, empty without one. A narrow screen first loses the standard
-        deviations, then the last values.
-        """
+    def __init__(self, names: Sequence[str], units: Sequence[str], width: int | None) -> None:
         short = [name.removesuffix("_OUT") for name in names]
         units = [unit or "1" for unit in units]
-        if width is None or _TIME + _FULL * len(short) <= width:
-            pairs = zip(short, units, strict=True)
-            head = f"{'time/s':>{_TIME}}" + "".join(f"{f'{name}/{unit}':>{_FULL}}" for name, unit in pairs)
-            return cls((head,), len(short), _FULL, _TIME, spread=True)
-        cell = max([_MEANS, *(len(name) + 1 for name in short)])
-        room = max(1, (width - _MEANS_TIME) // cell)
-        hidden = short[room:]
-        heads = tuple(
-            f"{first:>{_MEANS_TIME}}" + "".join(f"{word:>{cell}}" for word in row[:room])
-            for first, row in (("time", short), ("s", units))
-        )
-        note = f"the screen has {width} columns: means only"
-        if hidden:
-            note += f", without {', '.join(hidden)} (choose with --registers)"
-        return cls(heads, min(room, len(short)), cell, _MEANS_TIME, spread=False, note=note)
+        self._time, self._cell = 9, 19
+        self.spread = width is None or self._time + self._cell * len(short) <= width
+        rows = [("time/s", *map("/".join, zip(short, units, strict=True)))]
+        if not self.spread:
+            self._time, self._cell = 7, max(9, *(len(name) + 1 for name in short))
+            rows = [("time", *short), ("s", *units)]
+        self.heads = [self._row(*row) for row in rows]
+
+    def _row(self, time: str, *cells: str) -> str:
+        return f"{time:>{self._time}}" + "".join(f"{cell:>{self._cell}}" for cell in cells)
 
     def line(self, blocks: Sequence[Block], since_s: float) -> str:
         """Format the scans of some blocks as one line of means, with the time of the last scan.
@@ -307,14 +274,11 @@ class Columns:
         `since_s` is the time of the stream's first scan, subtracted from the printed time.
         """
         values = np.concatenate([block.values() for block in blocks])
-        time_s = float(blocks[-1].time_s[-1]) - since_s
         cells = [
             f"{format_fixed(mean, 2)} ({sd:.2f})" if self.spread else format_fixed(mean, 2)
             for mean, sd in zip(values.mean(axis=0), values.std(axis=0), strict=True)
         ]
-        return f"{time_s:{self.time_cell}.2f}" + "".join(
-            f"{cell:>{self.cell}}" for cell in cells[: self.shown]
-        )
+        return self._row(f"{float(blocks[-1].time_s[-1]) - since_s:.2f}", *cells)
 
 
 @option.command("angle", "--cal --seconds --json")
@@ -356,7 +320,6 @@ def angle_command(
 
     The sensor's settings are unchanged; data-ready is enabled only during the stream.
     """
-    _check_positive("--seconds", seconds)
     calibration = None
     if calibration_path is not None:  # before the sensor is opened, because a fit takes a moment
         from adis_gonio.tracing.trace_calibrations import load_calibration

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 F = TypeVar("F", bound=Callable[..., Any])
 Option = Callable[[F], F]
 FILE = click.Path(path_type=Path)
-POSITIVE = click.FloatRange(min=0, min_open=True)
 UNITS = f"[{'|'.join(ACCEL_UNITS)}]"
 """Text that lists the units of acceleration, for the help of a command."""
 _SHARED_SECTIONS = {
@@ -98,6 +97,14 @@ def parse_stage(text: str) -> float | StageCurve:
 
         return read_stage_curve(Path(str(text).removeprefix("dcc:")))
     return parse_fixture(text)
+
+
+def parse_positive(text: str) -> float:
+    """Parse a number above 0, such as a time in s."""
+    value = _number(str(text))
+    if value is None or not value > 0:
+        raise click.BadParameter(f"'{text}': give a number above 0")
+    return value
 
 
 def parse_unit(text: str) -> str:
@@ -250,7 +257,7 @@ def part(default: str = "accelerometer") -> Option[Any]:
 
 def time_limit(help: str) -> Option[Any]:
     """Return the option `--time-limit` in seconds, with this help text."""
-    return click.option("--time-limit", type=POSITIVE, metavar="SECONDS", help=help)
+    return click.option("--time-limit", type=parse_positive, metavar="SECONDS", help=help)
 
 
 def what_if(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -283,7 +290,7 @@ variant = with_default(
 poll = flag("--poll", help="Poll the scans and leave the data-ready line alone.")
 no_check = flag("--no-check", help="Open the sensor without checking that |a| is 1 g for this variant.")
 seconds = click.option(
-    "--seconds", type=float, metavar="SECONDS", help="Stop after this time (default: at Ctrl-C)."
+    "--seconds", type=parse_positive, metavar="SECONDS", help="Stop after this time (default: at Ctrl-C)."
 )
 positions = click.option(
     "--positions", type=int, metavar="N", help="Number of positions, if the plan leaves a choice."

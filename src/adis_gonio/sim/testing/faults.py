@@ -30,8 +30,7 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 
 from adis_gonio.base.errors import BusTimeoutError, ProtocolError, UsageError
-from adis_gonio.device.bus.contract import FRAME_BITS, FrameBlock, FrameStream, SpiBus, Words
-from adis_gonio.device.bus.forwarding import ForwardingBus
+from adis_gonio.device.bus.contract import FRAME_BITS, ForwardingBus, FrameBlock, FrameStream, SpiBus, Words
 
 
 @dataclass
