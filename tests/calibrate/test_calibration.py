@@ -214,7 +214,7 @@ def test_without_a_known_noise_u_is_not_a_number_and_never_a_small_one():
         ([[1.0, 0.05]], "give mg"),  # g
         ([[9.8, 0.5]], "give mg"),  # m/s²
         (np.tile([2140.0, 80.0], (20, 1)), "not words of the sensor"),  # LSB
-        ([["a", "b"]], "have to be numbers"),
+        ([["a", "b"]], "has to be numbers"),
     ],
 )
 def test_misuse_is_named(accel, says):

@@ -246,35 +246,40 @@ def independent_changes(covariance: Floats) -> Floats:
     return np.asarray((vectors * np.sqrt(np.maximum(sizes, 0.0))).T * unit)
 
 
-def checked_numbers(name: str, given: ArrayLike, *, plural: bool = False) -> Floats:
-    """Convert the argument `given`, called `name` in messages, to an array of numbers.
-
-    `plural` is True if the name is a plural.
-
-    Raises
-    ------
-    UsageError
-        The argument has no numbers.
-    """
+def _numbers(name: str, given: ArrayLike) -> Floats:
+    """Convert the argument `given`, called `name` in messages, to an array; fail if it has no numbers."""
     try:
         return np.asarray(given, dtype=float)
     except (TypeError, ValueError):
-        verb = "have" if plural else "has"
-        raise UsageError(f"{name} {verb} to be numbers, not {type(given).__name__}") from None
+        raise UsageError(f"{name} has to be numbers, not {type(given).__name__}") from None
 
 
-def finite_numbers(name: str, given: ArrayLike) -> Floats:
-    """Convert the argument `given`, called `name` in messages, to an array of finite numbers.
+def checked_rows(name: str, given: ArrayLike, columns: tuple[int, ...], unit: str) -> tuple[Floats, bool]:
+    """Convert an argument to rows (n, k), and return True if it is a single reading (k,).
+
+    Parameters
+    ----------
+    name, unit : str
+        Name of the argument and unit of its numbers, for messages.
+    columns : tuple of int
+        Allowed numbers of columns; k is the smallest, and further columns are dropped.
 
     Raises
     ------
     UsageError
-        The argument has no numbers, NaN or infinity.
+        No numbers, wrong shape, NaN or infinity.
     """
-    values = checked_numbers(name, given)
-    if not np.isfinite(values).all():
-        raise UsageError(f"{name} holds NaN or infinity")
-    return values
+    values = _numbers(name, given)
+    if values.ndim not in (1, 2) or values.shape[-1] not in columns:
+        wanted = join_words([*map(str, columns)], "or")
+        raise UsageError(
+            f"{name} has shape {values.shape}; give (n, {wanted}) in {unit}, one row a reading"
+        )
+    rows = np.atleast_2d(values)[:, : min(columns)]
+    bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
+    if bad.size:
+        raise UsageError(f"{name}: reading {int(bad[0])} holds NaN or infinity; leave lost scans out")
+    return rows, values.ndim == 1
 
 
 def checked_condition(
@@ -302,7 +307,9 @@ def checked_condition(
     """
     if given is None:
         return None if default is None else np.full((n, dies), default)
-    values = finite_numbers(name, given)
+    values = _numbers(name, given)
+    if not np.isfinite(values).all():
+        raise UsageError(f"{name} holds NaN or infinity")
     if values.ndim < 2 and values.size in (1, n):
         rows = values.reshape(-1, 1)
     elif dies > 1 and (values.shape == (n, dies) or (n == 1 and values.shape == (dies,))):
@@ -869,18 +876,8 @@ def checked_readings(accel: ArrayLike, calibration: Calibration) -> tuple[Floats
     UsageError
         Wrong shape, no numbers, NaN or infinity, or another unit.
     """
-    given = checked_numbers("readings", accel, plural=True)
-    axes, unit = calibration.axes, calibration.unit
-    wanted = (2, 3) if axes == 2 else (3,)
-    if given.ndim not in (1, 2) or given.shape[-1] not in wanted:
-        columns = join_words([*map(str, wanted)], "or")
-        raise UsageError(
-            f"readings have shape {given.shape}; give (n, {columns}) in {unit}, one row a reading"
-        )
-    readings = np.atleast_2d(given)[:, :axes]
-    bad = np.flatnonzero(~np.isfinite(readings).all(axis=1))
-    if bad.size:
-        raise UsageError(f"reading {int(bad[0])} holds NaN or infinity; leave lost scans out")
+    columns = (2, 3) if calibration.planar else (3,)
+    readings, single = checked_rows("accel", accel, columns, calibration.unit)
     if not calibration.provenance.counts and len(readings):
         length_mg = float(np.median(np.linalg.norm(readings, axis=1)))
         length = length_mg / calibration.gravity_mg
@@ -889,4 +886,4 @@ def checked_readings(accel: ArrayLike, calibration: Calibration) -> tuple[Floats
                 f"readings are {length_mg:.4g} long, but gravity is about 1000: give mg (1 g = 1000,"
                 " 1 m/s² = 101.97), not words of the sensor (ScanBlock.accel_mg)"
             )
-    return readings, given.ndim == 1
+    return readings, single

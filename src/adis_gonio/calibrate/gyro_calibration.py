@@ -28,7 +28,7 @@ from adis_gonio.calibrate.calibration import (
     Coefficient,
     Coefficients,
     checked_offsets,
-    finite_numbers,
+    checked_rows,
 )
 from adis_gonio.device.sensor.registers import VARIANTS, Kind
 from adis_gonio.model.effects import AXES
@@ -257,7 +257,7 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         UsageError
             Wrong shape, NaN or infinity, or a required force is missing.
         """
-        rate, single = _rows("rate_dps", rate_dps)
+        rate, single = checked_rows("rate_dps", rate_dps, (3,), "°/s")
         conditions = self._conditions(len(rate), force_g, temperature_c, supply_v)
         corrected = _corrected(self.by_kind(self.values), rate, *conditions)
         return corrected[0] if single else corrected
@@ -304,7 +304,7 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         `function` takes the parameters by kind, rates (n, 3) and the results of `_conditions`, and returns
         (n, 3). `felt` are the force in g, the temperature and the supply voltage; each may be None.
         """
-        rate, single = _rows("rate_dps", rate_dps)
+        rate, single = checked_rows("rate_dps", rate_dps, (3,), "°/s")
         conditions = self._conditions(len(rate), *felt)
         value, variance = self._with_variance(
             lambda values: function(self.by_kind(values), rate, *conditions)
@@ -314,7 +314,7 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
 
     def force_part(self, force_g: ArrayLike) -> Floats:
         """Return the zero rate (3,) in °/s that a force (3,) in g causes in each gyro."""
-        return np.asarray(_by_force(self.by_kind(self.values), _spread("force_g", force_g, 1))[0])
+        return np.asarray(_by_force(self.by_kind(self.values), _forces(force_g, 1))[0])
 
     def with_offsets(self, offsets_lsb: Sequence[int]) -> GyroCalibration:
         """Return the calibration for a chip with other numbers in the offset registers XGYRO_OFF ….
@@ -394,7 +394,7 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
             raise UsageError(
                 "these gyros are sensitive to force: give force_g, the readings of the accelerometers in g"
             )
-        force = np.zeros((n, 3)) if force_g is None else _spread("force_g", force_g, n)
+        force = np.zeros((n, 3)) if force_g is None else _forces(force_g, n)
         warm = self._condition("temperature_c", temperature_c, n, self.temperature_c, REFERENCE_C, 3)
         volts = self._condition("supply_v", supply_v, n, self.supply_v, REFERENCE_V)
         # With a default there is always a value.
@@ -468,15 +468,8 @@ def _zero(v: ByKind, force: Floats, warm: Floats, volts: Floats) -> Floats:
     return np.asarray(v["gyro_bias"] + _by_force(v, force) + by_warmth + v["gyro_supply"] * volts)
 
 
-def _rows(name: str, given: ArrayLike) -> tuple[Floats, bool]:
-    values = finite_numbers(name, given)
-    if values.ndim not in (1, 2) or values.shape[-1] != 3:
-        raise UsageError(f"{name} has shape {values.shape}; give (n, 3), one row a reading")
-    return np.atleast_2d(values), values.ndim == 1
-
-
-def _spread(name: str, given: ArrayLike, n: int) -> Floats:
-    rows, _ = _rows(name, given)
+def _forces(given: ArrayLike, n: int) -> Floats:
+    rows, _ = checked_rows("force_g", given, (3,), "g")
     if len(rows) not in (1, n):
-        raise UsageError(f"{name} has {len(rows)} rows for {n} readings")
+        raise UsageError(f"force_g has {len(rows)} rows for {n} readings")
     return np.broadcast_to(rows, (n, 3))

@@ -343,16 +343,8 @@ def _interval_of_turn(
         found = turn_integration.reference_as_declared(
             path, integral, turn.turned_deg, triad, rests.sampling.delay_s, mark_u_deg, consecutive
         )
-    elif triad.psi_deg is not None:
-        here, there = (triad.psi_deg.get(one.position) for one in (before, after))
-        if here is None or there is None:
-            return "one of its dwells has no angle by gravity"
-        found = turn_integration.reference_on_stage(integral, here, there)
     else:
-        down, then = (triad.gravity.get(one.position) for one in (before, after))
-        if down is None or then is None:
-            return "one of its dwells has no direction of gravity"
-        found = turn_integration.reference_in_space(integral, (down, then), triad.u_rad)
+        found = triad.reference(turn, integral)
     if isinstance(found, str):
         return found
     length = integral.length_s

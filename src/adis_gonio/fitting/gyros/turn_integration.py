@@ -536,7 +536,7 @@ def reference_on_stage(
     )
 
 
-def reference_in_space(integral: Integral, gravity: tuple[Floats, Floats], u_rad: float) -> Reference | str:
+def reference_in_space(integral: Integral, gravity: Sequence[Floats], u_rad: float) -> Reference | str:
     """Return the true rotation by gravity about the axis that the gyros show, or why it is unknown.
 
     Parameters
@@ -788,6 +788,17 @@ class Triad:
     psi_deg: dict[int, tuple[float, float]] | None
     gravity: dict[int, Floats]
     notes: tuple[str, ...] = ()
+
+    def reference(self, turn: Turn, integral: Integral) -> Reference | str:
+        """Return the true rotation in a turn without a declared angle, or why it is unknown."""
+        ends = turn.before, turn.position
+        if self.psi_deg is None:
+            if not self.gravity.keys() >= set(ends):
+                return "one of its dwells has no direction of gravity"
+            return reference_in_space(integral, [self.gravity[k] for k in ends], self.u_rad)
+        if not self.psi_deg.keys() >= set(ends):
+            return "one of its dwells has no angle by gravity"
+        return reference_on_stage(integral, *(self.psi_deg[k] for k in ends))
 
 
 def triad_of(session: Session, calibration: Calibration | None = None) -> Triad:
