@@ -32,7 +32,7 @@ class Here:
         for k in self._rng.permutation(len(jobs)):
             job = jobs[k]
             self.given.append(job.path)
-            yield job, work(job.path, job.digest, options.as_dict(), __version__)
+            yield work(job.path, job.digest, options.as_dict(), __version__)
 
 
 @pytest.fixture(scope="module")

@@ -72,8 +72,8 @@ def _below(place: Path) -> Iterator[Path]:
 class Workers(Protocol):
     """Interface of objects that compute the records of sessions: `LocalPool`, `Cluster`."""
 
-    def results(self, jobs: Sequence[Job], options: Options) -> Iterator[tuple[Job, SessionRecord]]:
-        """Yield each job once with the record that was computed for it, in any order."""
+    def results(self, jobs: Sequence[Job], options: Options) -> Iterator[SessionRecord]:
+        """Yield the record that was computed for each job, in any order."""
 
 
 @dataclass(frozen=True)
@@ -248,9 +248,9 @@ def run_fleet(
     todo = [job for job, record in found.items() if record is None]
     budget.tell("waiting for workers")
     begun, failed = time.monotonic(), 0
-    here = ((job, record_of(job.path, **options.as_dict())) for job in todo)
+    here = (record_of(job.path, **options.as_dict()) for job in todo)
     results = here if workers is None else workers.results(todo, options)
-    for done, (_, record) in enumerate(results, 1):
+    for done, record in enumerate(results, 1):
         store.keep(record, options=options)
         records.append(record)
         failed += record.status != "ok"

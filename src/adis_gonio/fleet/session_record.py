@@ -9,7 +9,7 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field, fields
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -48,6 +48,14 @@ PARTS = {"": "value", "_u": "u", "_u95": "U", "_k": "k", "_dof": "dof"}
 
 The ending of U is `_u95`, because names of columns ignore capitals.
 """
+
+
+Kind = Literal["text", "number", "integer", "flag", "names", "numbers"]
+
+
+def _fact(kind: Kind, meaning: str, unit: str = "", default: Any = None) -> Any:
+    """Return a field of a record that is also a column of the table."""
+    return field(default=default, metadata={"column": (kind, unit, meaning)})
 
 
 class FoundEffect(JsonRecord):
@@ -133,33 +141,35 @@ class SessionRecord(JsonRecord):
         `SessionEvidence.as_dict()`, if it was requested and the session has evidence; otherwise None.
     """
 
-    path: str
-    sha256: str | None = None
-    data_sha256: str | None = None
-    serial: str | None = None
-    operator: str | None = None
-    stage: str | None = None
-    sensor: str | None = None
-    plan: str | None = None
-    when: str | None = None
-    simulated: bool | None = None
-    dwells: int | None = None
-    measuring_s: float | None = None
-    temperature_c: float | None = None
-    gravity_mps2: float | None = None
-    method: str | None = None
-    model_effects: tuple[str, ...] = ()
+    path: str = _fact("text", "file of the session, as it was given", default=MISSING)
+    sha256: str | None = _fact("text", "SHA-256 of the file")
+    data_sha256: str | None = _fact("text", "SHA-256 of its data: the same for an archive and its CSV")
+    serial: str | None = _fact("text", "serial number of the unit")
+    operator: str | None = _fact("text", "who measured")
+    stage: str | None = _fact("text", "stage on which it was measured")
+    sensor: str | None = _fact("text", "variant")
+    plan: str | None = _fact("text", "plan of positions")
+    when: str | None = _fact("text", "begin, UTC, ISO 8601")
+    simulated: bool | None = _fact("flag", "of a simulated sensor")
+    dwells: int | None = _fact("integer", "number of dwells")
+    measuring_s: float | None = _fact("number", "time in the dwells", "s")
+    temperature_c: float | None = _fact("number", "mean temperature", "degC")
+    gravity_mps2: float | None = _fact("number", "local gravity", "m/s2")
+    method: str | None = _fact("text", "recommended method, source of the values")
+    model_effects: tuple[str, ...] = _fact("names", "effects of the model that gave the values", default=())
     values: dict[str, Value] = field(default_factory=dict)
-    angle_max_deg: float | None = None
-    traced: bool = False
-    effects: tuple[FoundEffect, ...] = ()
-    adequate: bool | None = None
-    stage_curve: str = ""
+    angle_max_deg: float | None = _fact("number", "largest error of the angle, each dwell left out", "deg")
+    traced: bool = _fact("flag", "a trace ran; otherwise effects are not known", default=False)
+    effects: tuple[FoundEffect, ...] = _fact("names", "effects that the trace found", default=())
+    adequate: bool | None = _fact("flag", "the traced model leaves no more than the noise")
+    stage_curve: str = _fact(
+        "text", "digest of the stage certificate, which corrected the angles", default=""
+    )
     stage_influence: dict[str, tuple[float, ...]] = field(default_factory=dict)
-    doubts: tuple[str, ...] = ()
-    status: Literal["ok", "failed"] = "ok"
-    reason: str = ""
-    software: str = ""
+    doubts: tuple[str, ...] = _fact("text", "reasons why the result is doubtful", default=())
+    status: Literal["ok", "failed"] = _fact("text", "ok or failed", default="ok")
+    reason: str = _fact("text", "reason of the failure", default="")
+    software: str = _fact("text", "program that computed it", default="")
     evidence: dict[str, Any] | None = None
 
     @classmethod
@@ -404,7 +414,6 @@ def _results(session: Session, *, trace: bool) -> dict[str, Any]:
     return results
 
 
-Kind = Literal["text", "number", "integer", "flag", "names", "numbers"]
 Row = Mapping[str, Any]
 Table = dict[str, NDArray[Any]]
 """Columns (n,) by name.
@@ -412,34 +421,6 @@ Table = dict[str, NDArray[Any]]
 A column has floats (NaN if unknown), str ("" if unknown), or lists of numbers; `table_of` describes
 `effects`.
 """
-
-_FACTS: dict[str, tuple[Kind, str, str]] = {
-    "path": ("text", "", "file of the session, as it was given"),
-    "sha256": ("text", "", "SHA-256 of the file"),
-    "data_sha256": ("text", "", "SHA-256 of the data in it: the same for an archive and its CSV"),
-    "serial": ("text", "", "serial number of the unit"),
-    "operator": ("text", "", "who measured"),
-    "stage": ("text", "", "stage on which it was measured"),
-    "stage_curve": ("text", "", "digest of the stage's certificate, which corrected the angles"),
-    "sensor": ("text", "", "variant"),
-    "plan": ("text", "", "plan of positions"),
-    "when": ("text", "", "begin, UTC, ISO 8601"),
-    "simulated": ("flag", "", "of a simulated sensor"),
-    "dwells": ("integer", "", "number of dwells"),
-    "measuring_s": ("number", "s", "time in the dwells"),
-    "temperature_c": ("number", "degC", "mean temperature"),
-    "gravity_mps2": ("number", "m/s2", "local gravity"),
-    "method": ("text", "", "recommended method, source of the values"),
-    "model_effects": ("names", "", "effects of the model that gave the values"),
-    "angle_max_deg": ("number", "deg", "largest error of the angle over the dwells, each left out"),
-    "traced": ("flag", "", "a trace ran; otherwise effects are not known"),
-    "adequate": ("flag", "", "the traced model leaves no more than the noise"),
-    "effects": ("names", "", "effects that the trace found"),
-    "doubts": ("text", "", "reasons why the result is doubtful"),
-    "status": ("text", "", "ok or failed"),
-    "reason": ("text", "", "reason of the failure"),
-    "software": ("text", "", "program that computed it"),
-}
 
 
 def _of_quantities() -> dict[str, tuple[Kind, str, str]]:
@@ -458,6 +439,7 @@ def _of_quantities() -> dict[str, tuple[Kind, str, str]]:
     return columns
 
 
+_FACTS = {f.name: f.metadata["column"] for f in fields(SessionRecord) if "column" in f.metadata}
 COLUMNS: dict[str, tuple[Kind, str, str]] = {**_FACTS, **_of_quantities()}
 """Kind, unit and meaning of each column of the table, in order."""
 

@@ -69,19 +69,19 @@ class LocalPool:
                 process.kill()
             self._pool.shutdown()
 
-    def results(self, jobs: Sequence[Job], options: Options) -> Iterator[tuple[Job, SessionRecord]]:
-        """Yield each job with its record, in the order in which the records arrive."""
+    def results(self, jobs: Sequence[Job], options: Options) -> Iterator[SessionRecord]:
+        """Yield the record of each job, in the order in which the records arrive."""
         waiting = deque(jobs)
         while waiting:
             suspects = yield from self._until_death(waiting, options, self.workers)
             for job in suspects:
                 if (yield from self._until_death(deque([job]), options, 1)):
-                    yield job, lost(job.path, "its process died twice")
+                    yield lost(job.path, "its process died twice")
 
     def _until_death(
         self, waiting: deque[Job], options: Options, workers: int
-    ) -> Generator[tuple[Job, SessionRecord], None, list[Job]]:
-        """Yield the waiting jobs with their records; if a process dies, return the jobs that were begun."""
+    ) -> Generator[SessionRecord, None, list[Job]]:
+        """Yield the records of the waiting jobs; if a process dies, return the jobs that were begun."""
         for name in _ONE_THREAD:  # each worker has a core
             os.environ.setdefault(name, "1")
         # A fresh pool; a process takes a job as soon as it has none, so no other job is begun.
@@ -98,7 +98,8 @@ class LocalPool:
                         waiting.popleft()
                     for future in futures.wait(begun, return_when=futures.FIRST_COMPLETED).done:
                         record = future.result()
-                        yield begun.pop(future), record
+                        del begun[future]
+                        yield record
             except BrokenProcessPool:
                 return list(begun.values())
         return []
@@ -177,8 +178,8 @@ class Cluster:
         with suppress(Exception):  # the scheduler may have gone
             self._client.close(timeout=CONNECT_S)
 
-    def results(self, jobs: Sequence[Job], options: Options) -> Iterator[tuple[Job, SessionRecord]]:
-        """Yield each job with its record, in the order in which the records arrive.
+    def results(self, jobs: Sequence[Job], options: Options) -> Iterator[SessionRecord]:
+        """Yield the record of each job, in the order in which the records arrive.
 
         Raises
         ------
@@ -201,8 +202,7 @@ class Cluster:
                     return
                 with suppress(queue.Empty):
                     future = arrived.get(timeout=_LOOK_S)
-                    job = running.pop(future)
-                    yield job, self._record(job, future)
+                    yield self._record(running.pop(future), future)
         finally:
             with suppress(Exception):
                 self._client.cancel(list(running), force=True)
