@@ -56,6 +56,11 @@ def wr(address, data):
     return 0x8000 | address << 8 | data
 
 
+def frames_apart(chip, words, *, start_s, frame_s, clock_hz):
+    """Replies to frames that start `frame_s` apart."""
+    return chip.frames_at(words, start_s + frame_s * np.arange(len(words), dtype=float), clock_hz=clock_hz)
+
+
 class Host:
     """Sends frames one by one with a timing that every mode accepts."""
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from adis_gonio.sim import SimulatedChip, World, WorldSettings
-from sim.chip_rig import rd, wr
+from sim.chip_rig import frames_apart, rd, wr
 
 READABLE = [a for a in range(0x40) if a & ~1 != 0x3E]
 # Everything that the chip can be told, the destructive things rarely: the interest is in what goes on.
@@ -62,7 +62,9 @@ def test_batches_equal_single_frames_bit_for_bit(session, seed, supply_v):
     quick, slow = new_chip(seed, supply_v), new_chip(seed, supply_v)
     now = 0.2
     for words, (clock_hz, frame_s), gap in session:
-        replies = quick.frames(np.array(words, np.uint16), start_s=now, frame_s=frame_s, clock_hz=clock_hz)
+        replies = frames_apart(
+            quick, np.array(words, np.uint16), start_s=now, frame_s=frame_s, clock_hz=clock_hz
+        )
         expected = [
             slow.frame(word, start_s=float(now + k * frame_s), clock_hz=clock_hz)
             for k, word in enumerate(words)
@@ -79,7 +81,7 @@ def test_long_runs_over_many_updates_equal_single_frames(m):
     words = np.array([wr(0x38, m)] + [rd(a) for a in (2, 4, 6, 8, 10, 12, 14, 16, 0x36)] * 600, np.uint16)
     for frame_s in (160e-6, 1.7e-3):
         start = max(0.2, quick.time_s + 1e-3)
-        replies = quick.frames(words, start_s=start, frame_s=frame_s, clock_hz=250e3)
+        replies = frames_apart(quick, words, start_s=start, frame_s=frame_s, clock_hz=250e3)
         single = [
             slow.frame(int(w), start_s=float(start + k * frame_s), clock_hz=250e3)
             for k, w in enumerate(words)
@@ -105,14 +107,16 @@ def test_an_idle_hour_is_lived_through_like_any_other():
     patient, asked = new_chip(9), new_chip(9)
     for at_s in np.arange(0.3, 40.0, 0.37):
         asked.run_to(float(at_s))
-    one = patient.frames(words, start_s=40.0, frame_s=160e-6, clock_hz=250e3)
-    other = asked.frames(words, start_s=40.0, frame_s=160e-6, clock_hz=250e3)
+    one = frames_apart(patient, words, start_s=40.0, frame_s=160e-6, clock_hz=250e3)
+    other = frames_apart(asked, words, start_s=40.0, frame_s=160e-6, clock_hz=250e3)
     assert (one == other).all()
 
 
 def test_an_empty_batch_is_nothing():
     chip = new_chip(1)
-    assert chip.frames(np.empty(0, np.uint16), start_s=1.0, frame_s=1e-3, clock_hz=250e3).tolist() == []
+    assert (
+        frames_apart(chip, np.empty(0, np.uint16), start_s=1.0, frame_s=1e-3, clock_hz=250e3).tolist() == []
+    )
 
 
 @pytest.mark.parametrize("gap_us", [5.0, 10.0, 30.0])
@@ -120,7 +124,7 @@ def test_a_frame_after_a_long_run_is_judged_by_the_run_s_last_frame(gap_us):
     """Too short a stall (5 us), too short a period (10 us after 16 us), neither (30 us)."""
     words = np.array([rd(a) for a in (0x0A, 0x36, 0x38)] * 30, np.uint16)
     quick, slow = new_chip(2), new_chip(2)
-    run = quick.frames(words, start_s=0.2, frame_s=60e-6, clock_hz=1e6)
+    run = frames_apart(quick, words, start_s=0.2, frame_s=60e-6, clock_hz=1e6)
     single = [slow.frame(int(w), start_s=0.2 + k * 60e-6, clock_hz=1e6) for k, w in enumerate(words)]
     assert run.tolist() == single
     at_s = 0.2 + (len(words) - 1) * 60e-6 + 16e-6 + gap_us * 1e-6

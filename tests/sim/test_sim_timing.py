@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.sim import SimulatedChip, State
-from sim.chip_rig import Host, Quiet, rd, wr
+from sim.chip_rig import Host, Quiet, frames_apart, rd, wr
 
 FAST, NORMAL = 0x01, 0x0A
 STATUS_SPI = 0x0008
@@ -58,8 +58,8 @@ def test_a_stall_of_exactly_nine_microseconds_passes_at_any_time_in_spite_of_rou
     clock_hz = 16 / 31e-6  # with it, a period of 40 us leaves a stall of 9 us to the last digit
     for at_s in np.random.default_rng(1).uniform(0.2, 1e5, 40):
         chip = SimulatedChip(Quiet(), start_s=at_s - 0.2)
-        replies = chip.frames(
-            np.full(50, rd(0x38), np.uint16), start_s=at_s, frame_s=40e-6, clock_hz=clock_hz
+        replies = frames_apart(
+            chip, np.full(50, rd(0x38), np.uint16), start_s=at_s, frame_s=40e-6, clock_hz=clock_hz
         )
         assert (replies[1:] == 0x0402).all()
 
@@ -68,7 +68,7 @@ def test_eight_microseconds_are_punished_in_a_batch_too():
     chip, now = chip_in(FAST)
     clock_hz = 16 / 32e-6
     words = np.full(20, rd(0x38), np.uint16)
-    replies = chip.frames(words, start_s=now, frame_s=40e-6, clock_hz=clock_hz)
+    replies = frames_apart(chip, words, start_s=now, frame_s=40e-6, clock_hz=clock_hz)
     assert replies[0] == 0
     assert (replies[1:] == 0xFFFF).all()
     assert chip.state is State.DEAD

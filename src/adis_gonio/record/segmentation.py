@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,10 +70,11 @@ def segment_with_notes(
     DataError
         The samples never change (stuck data).
     """
-    whole = _extent(time_s, [accel] if gyro is None else [accel, gyro])
-    n, period, axes = len(time_s), whole.period_s, accel.shape[1]
-    if n < 2 * _LEAST_WINDOW or not period:
+    n, axes = len(time_s), accel.shape[1]
+    if n < 2 * _LEAST_WINDOW or time_s[0] == time_s[-1]:
         return [], [f"{counted(n, 'sample')}: too few for a continuous recording"]
+    whole = _Extent(time_s, [accel] if gyro is None else [accel, gyro])
+    period = whole.period_s
     window = max(_LEAST_WINDOW, round(WINDOW_S / period))
     trim, least = max(1, round(TRIM_S / period)), max(2 * window, round(LEAST_S / period))
     if n < least:
@@ -160,16 +160,20 @@ def _own_noise(spread: Quantiles) -> float:
     return spread.quantile(0.5, below=quiet, with_zeros=False)
 
 
-@dataclass(frozen=True)
 class _Extent:
     """A recording with the range of each of its columns: accelerations, then rates.
 
+    Parameters
+    ----------
+    time_s : (n,) float
+        Times of the samples.
+    parts : sequence of (n, …) float
+        Accelerations, and rates if there are any; n is not 0.
+
     Attributes
     ----------
-    parts : sequence of (n, …) float
-        Accelerations, and rates if there are any.
     period_s : float
-        Time between two samples; 0 if it is unknown.
+        Time between two samples; infinite if the time never increases.
     low, high, middle : (columns,) float
         Minimum, maximum and mean of each column.
     quantum : (columns,) float
@@ -177,12 +181,22 @@ class _Extent:
         constant.
     """
 
-    parts: Sequence[Floats]
-    period_s: float
-    low: Floats
-    high: Floats
-    middle: Floats
-    quantum: Floats
+    def __init__(self, time_s: Floats, parts: Sequence[Floats]) -> None:
+        self.parts = parts
+        steps = Quantiles()
+        for row in range(0, len(time_s), _BLOCK):
+            step = np.diff(time_s[row : row + _BLOCK + 1])
+            steps.feed(step[step > 0])
+        self.period_s = steps.quantile(0.5)
+        self.low, self.high, self.middle = (
+            np.hstack([of(part, axis=0) for part in parts]) for of in (np.min, np.max, np.mean)
+        )
+        self.quantum = np.zeros(len(self.low))
+        for k, values in enumerate(np.hstack([part[:_FIRST] for part in parts]).T):
+            # The smallest difference of two values is the step, unless it is a rounding error.
+            gaps = np.diff(np.unique(values))
+            gaps = gaps[gaps > 1e-9 * max(1.0, -self.low[k], self.high[k])]
+            self.quantum[k] = gaps.min() if gaps.size else 0.0
 
     def deviations(self, window: int) -> Iterator[Floats]:
         """Yield the standard deviations (m, columns) of all windows of `window` samples, block by block."""
@@ -209,32 +223,6 @@ class _Extent:
             raise DataError(
                 "stuck data: the accelerations never change in the whole recording; record again"
             )
-
-
-def _extent(time_s: Floats, parts: Sequence[Floats]) -> _Extent:
-    if not len(time_s):
-        return _Extent(parts, 0.0, *[np.zeros(0)] * 4)
-    steps = Quantiles()
-    for row in range(0, len(time_s), _BLOCK):
-        step = np.diff(time_s[row : row + _BLOCK + 1])
-        steps.feed(step[step > 0])
-    low, high, middle = (
-        np.hstack([of(part, axis=0) for part in parts]) for of in (np.min, np.max, np.mean)
-    )
-    quantum = np.zeros(len(low))
-    for k, values in enumerate(np.hstack([part[:_FIRST] for part in parts]).T):
-        # The smallest difference of two values is the step, unless it is a rounding error.
-        gaps = np.diff(np.unique(values))
-        quantum[k] = gaps[gaps > 1e-9 * max(1.0, -low[k], high[k])].min(initial=math.inf)
-    period_s = steps.quantile(0.5)
-    return _Extent(
-        parts,
-        period_s if math.isfinite(period_s) else 0.0,
-        low,
-        high,
-        middle,
-        np.where(np.isfinite(quantum), quantum, 0.0),
-    )
 
 
 def _spreads(deviations: Iterable[Floats], columns: int) -> list[Quantiles]:

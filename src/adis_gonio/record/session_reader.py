@@ -178,11 +178,7 @@ def read_session(path: str | Path) -> Session:
         dropped = {r.value["attempt"]: r.value["scans"] for r in view.records("dropped")}
         joined = [join(view.blocks(attempt, "dwell")) for attempt in stored]
         facts = _facts(view) | {
-            "advised": [record.value for record in view.records("advised")],
-            "reversed": bool(view.last("reversed")),
-            "doubts": view.doubts() + _changed_registers(view),
             "complete": not pending,
-            "skipped": sorted(skipped),
             "dwells": [
                 {
                     "place": attempt.place,
@@ -211,15 +207,7 @@ def _free_turn(path: str | Path, view: ArchiveView) -> Session:
     if recording is None:
         raise DataError(f"{path}: has no turn yet; resume the session")
     lost = sum(block.lost for a in view.attempts() for block in view.blocks(a))
-    facts = _facts(view) | {
-        "advised": [],
-        "reversed": False,
-        "doubts": _changed_registers(view),
-        "complete": not reason,
-        "skipped": [],
-        "dwells": [],
-        "broken_off": reason,
-    }
+    facts = _facts(view) | {"complete": not reason, "dwells": [], "broken_off": reason}
     length_s = float(recording.time_s[-1] - recording.time_s[0])
     notes = [doubt["message"] for doubt in facts["doubts"]]
     if reason:
@@ -250,6 +238,10 @@ def _facts(view: ArchiveView) -> JsonDict:
         "remarks": [record.value for record in view.records("remark")],
         "scanning": view.last("scanning"),
         "offset_writes": view.offset_writes(),
+        "advised": [record.value for record in view.records("advised")],
+        "reversed": bool(view.last("reversed")),
+        "doubts": view.doubts() + _changed_registers(view),
+        "skipped": sorted(view.skipped()),
         **({"truth": truth} if header.simulated and truth is not None else {}),
     }
 

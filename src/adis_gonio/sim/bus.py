@@ -133,7 +133,8 @@ class SimBus(SpiBus):
             self._last_start + self.timing.period_us * 1e-6,
         )
         frame_s = self.timing.frame_s
-        replies = self.chip.frames(frames, start_s=start, frame_s=frame_s, clock_hz=self.timing.clock_hz)
+        starts_s = start + frame_s * np.arange(len(frames), dtype=np.float64)
+        replies = self.chip.frames_at(frames, starts_s, clock_hz=self.timing.clock_hz)
         self._last_start = start + (len(frames) - 1) * frame_s
         self._last_rise = self._last_start + FRAME_BITS / self.timing.clock_hz
         self._set_now(start + len(frames) * frame_s)

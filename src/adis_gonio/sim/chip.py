@@ -377,31 +377,10 @@ class SimulatedChip:
         self._shifted = reply
         return reply
 
-    def frames(self, words: Words, *, start_s: float, frame_s: float, clock_hz: float) -> Words:
-        """Take n frames that start `frame_s` apart, the first at `start_s`; return the n replies.
-
-        The result is that of n calls of `frame`, but faster.
-
-        Parameters
-        ----------
-        words : (n,) uint16
-            Frames.
-        start_s, frame_s, clock_hz : float
-            Start of the first frame, time between two starts, and SPI clock.
-
-        Returns
-        -------
-        (n,) uint16
-            Word that is shifted out during each frame.
-        """
-        return self.frames_at(
-            words, start_s + frame_s * np.arange(len(words), dtype=float), clock_hz=clock_hz
-        )
-
     def frames_at(self, words: Words, starts_s: Floats, *, clock_hz: float) -> Words:
         """Take n frames that start at increasing times (n,) in s; return the n replies.
 
-        `clock_hz` is the SPI clock.
+        The result is that of n calls of `frame`, but faster. `clock_hz` is the SPI clock.
         """
         n = len(words)
         replies = np.empty(n, np.uint16)

@@ -387,15 +387,8 @@ class World:
             if effect.enters is Enters.ATTITUDE:
                 angle += effect.attitude_rad(values, conditions)
         # Rotate gravity in the plane of x and y.
-        cosine, sine = np.cos(angle), np.sin(angle)
-        return np.stack(
-            [
-                cosine * direction[:, 0] - sine * direction[:, 1],
-                sine * direction[:, 0] + cosine * direction[:, 1],
-                direction[:, 2],
-            ],
-            axis=1,
-        )
+        (x, y, z), cosine, sine = direction.T, np.cos(angle), np.sin(angle)
+        return np.stack([cosine * x - sine * y, sine * x + cosine * y, z], axis=1)
 
     def _vibration_mg(self, order: Floats) -> Floats:
         """Return the rms vibration of the table in mg (n,), which is one constant for each dwell.
