@@ -6,7 +6,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Container, Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
@@ -175,30 +175,21 @@ class Work:
     ----------
     what : str
         Description, such as `tracing 24 dwells of today.session`.
-    changed : callable, optional
-        Called after each change of the description.
     """
 
-    def __init__(self, what: str, changed: Callable[[Work], None] | None = None) -> None:
+    def __init__(self, what: str) -> None:
         self.what = what
         self._stage = ""
         self._share: float | None = None
-        self._changed = changed
         self._begun = time.monotonic()
 
     def tell(self, stage: str) -> None:
         """Begin the next stage of the work, with this description."""
         self._stage, self._share = stage, None
-        self._show()
 
     def share(self, done: float) -> None:
         """Set the finished share of the present stage to `done`, 0 to 1."""
         self._share = min(max(done, 0.0), 1.0)
-        self._show()
-
-    def _show(self) -> None:
-        if self._changed is not None:
-            self._changed(self)
 
     @property
     def elapsed_s(self) -> float:
@@ -221,25 +212,26 @@ def report_progress(what: str) -> Iterator[None]:
     """
     from adis_gonio.base.budget import Budget, within
 
-    screen = console(stderr=True)
-    progress = _on_terminal(what, screen) if screen.is_terminal else _in_log(what)
-    with progress as work, within(Budget(tell=work.tell, share=work.share)):
+    screen, work = console(stderr=True), Work(what)
+    progress = _on_terminal(work, screen) if screen.is_terminal else _in_log(work)
+    with progress, within(Budget(tell=work.tell, share=work.share)):
         yield
 
 
 @contextmanager
-def _on_terminal(what: str, screen: Console) -> Iterator[Work]:
+def _on_terminal(work: Work, screen: Console) -> Iterator[None]:
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    columns = (SpinnerColumn(), TimeElapsedColumn(), TextColumn("{task.description}", markup=False))
+    # The text of the work is made at each refresh of the line.
+    columns = (SpinnerColumn(), TimeElapsedColumn(), TextColumn("{task.fields[work]}", markup=False))
     with Progress(*columns, console=screen, transient=True) as progress:
-        task = progress.add_task(what)
-        yield Work(what, lambda work: progress.update(task, description=str(work)))
+        progress.add_task("", work=work)
+        yield
 
 
 @contextmanager
-def _in_log(what: str) -> Iterator[Work]:
-    work, over = Work(what), threading.Event()
+def _in_log(work: Work) -> Iterator[None]:
+    over = threading.Event()
 
     def tell() -> None:
         for due in report_times_s():
@@ -251,7 +243,7 @@ def _in_log(what: str) -> Iterator[Work]:
     teller = threading.Thread(target=tell, daemon=True)
     teller.start()
     try:
-        yield work
+        yield
     finally:
         over.set()
         teller.join()
