@@ -101,7 +101,7 @@ def test_labels_of_a_logarithmic_axis_are_numbers_that_a_person_reads():
 
 def test_before_and_after_differ_by_shape_and_not_by_colour_alone():
     root = drawn(Series([0], [0], "before"), Series([0], [1], "after"))
-    styles = {g.get("style") for g in root.iter(f"{SVG}g") if g.find(f"{SVG}use") is not None}
+    styles = {marker.get("style") for marker in root.iter(f"{SVG}use")}
     hollow = {style for style in styles if "fill:var(--ground, none)" in style}
     full = {style for style in styles if "fill:var(--after," in style}
     assert len(hollow) == len(full) == 1

@@ -7,7 +7,7 @@ on a transparent ground. Labels are text in the SVG, not outlines. A plot of the
 bytes on every computer, independent of the user's matplotlibrc.
 
 Matplotlib writes a complete file: its ids clash with the ids of the next figure, its style sheet would
-apply to the whole page, its black does not follow a dark page, and every marker repeats its style.
+apply to the whole page, and its black does not follow a dark page.
 `inline_svg` makes an element of a page from it.
 
 Matplotlib is installed with the extra `report`, and is imported when the first plot is drawn.
@@ -71,15 +71,13 @@ def inline_svg(drawing: str, colours: Mapping[str, str], *, title: str, descript
         for child in list(element):
             if child.tag.endswith(("metadata", "style")):
                 element.remove(child)
-    for group in root.iter("g"):
-        # Move the style that all markers of a group share from the markers to the group.
-        markers = group.findall("use")
-        if len({marker.get("style") for marker in markers}) == 1:
-            group.set("style", markers[0].get("style", ""))
-            for marker in markers:
-                marker.attrib.pop("style", None)
     name = "f" + hashlib.sha256(ET.tostring(root) + f"{title}\0{description}".encode()).hexdigest()[:10]
-    _rename(root, name)
+    # Two figures of a page must not share an id.
+    for element in root.iter():
+        if "id" in element.attrib:
+            element.set("id", f"{name}{element.attrib['id']}")
+        if "href" in element.attrib:
+            element.set("href", f"#{name}{element.attrib['href'][1:]}")
     root.attrib = {
         "xmlns": "http://www.w3.org/2000/svg",
         "class": "plot",
@@ -104,8 +102,6 @@ def _attributes(element: ET.Element, colours: Mapping[str, str]) -> None:
     given = {_NAMESPACE.sub("", key): value for key, value in element.attrib.items()}
     if element.tag in ("g", "text"):
         given.pop("id", None)
-    if given.get("transform", "").startswith("rotate(-0 "):
-        del given["transform"]
     for key in {"d", "x", "y", "transform"} & given.keys():
         text = " ".join(given[key].split())
         given[key] = re.sub(
@@ -120,16 +116,6 @@ def _attributes(element: ET.Element, colours: Mapping[str, str]) -> None:
             rules = {key: value for key, value in rules.items() if not key.startswith("font")}
         given["style"] = ";".join(f"{key}:{colours.get(value, value)}" for key, value in rules.items())
     element.attrib = given
-
-
-def _rename(root: ET.Element, name: str) -> None:
-    """Replace all ids in an SVG by `name` and a number, since two figures of a page must differ."""
-    named = [element for element in root.iter() if element.get("id")]
-    new = {element.get("id", ""): f"{name}{k}" for k, element in enumerate(named)}
-    for element in named:
-        element.set("id", new[element.get("id", "")])
-    for element in root.iter("use"):
-        element.set("href", "#" + new[element.get("href", "")[1:]])
 
 
 Style = Literal["points", "line", "steps"]
