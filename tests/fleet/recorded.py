@@ -25,7 +25,7 @@ def recorded(
     dwell_s: float = 0.5,
 ) -> Path:
     """A session file; the wall clock is the one thing that is not simulated."""
-    monkeypatch.setattr("adis_gonio.record.archive.utc_now", lambda: when)
+    monkeypatch.setattr("adis_gonio.record.archive_tables.utc_now", lambda: when)
     with open_sensor(url) as sensor:
         settings = Settings(dwell_s=dwell_s)
         world = sensor.bus.world.settings

@@ -48,27 +48,7 @@ from adis_gonio.base.errors import AdisGonioError, DataError, SessionError, one_
 from adis_gonio.base.output import exists_error, flush_names
 from adis_gonio.base.shapes import ShapeError, anything
 from adis_gonio.device.sensor.registers import ACCEL_OUT, BY_NAME
-from adis_gonio.record.archive_tables import (
-    APPLICATION_ID,
-    LARGEST_S,
-    LARGEST_VALUE,
-    META,
-    RECORDS,
-    SCHEMA_VERSION,
-    TABLES,
-    Attempt,
-    Header,
-    JsonDict,
-    Move,
-    Phase,
-    Record,
-    StoredAttempt,
-    checked_row,
-    checked_value,
-    checksum,
-    statements,
-    utc_now,
-)
+from adis_gonio.record import archive_tables as schema
 from adis_gonio.record.blocks import GENERIC, UNITS, Block, from_bytes, to_bytes
 from adis_gonio.record.plans import Plan, Position
 
@@ -97,7 +77,7 @@ def is_archive(path: Path) -> bool:
             head = file.read(72)
     except OSError:
         return False
-    return head[:16] == _MAGIC and int.from_bytes(head[68:72], "big") == APPLICATION_ID
+    return head[:16] == _MAGIC and int.from_bytes(head[68:72], "big") == schema.APPLICATION_ID
 
 
 def connect(path: Path, *, write: bool) -> sqlite3.Connection:
@@ -287,11 +267,12 @@ def _check_content(path: Path, connection: sqlite3.Connection) -> None:
             f"{path}: has no session yet, it was interrupted at its beginning;"
             " begin a new session with --force"
         )
-    if application != APPLICATION_ID:
+    if application != schema.APPLICATION_ID:
         raise DataError(f"{path}: is an SQLite file, but no session file")
-    if version > SCHEMA_VERSION:
+    if version > schema.SCHEMA_VERSION:
         raise DataError(
-            f"{path}: has schema {version}, this program reads up to {SCHEMA_VERSION}; update adis-gonio"
+            f"{path}: has schema {version}, this program reads up to {schema.SCHEMA_VERSION};"
+            " update adis-gonio"
         )
     _refuse_other_objects(path, connection)
     # A damaged tree could hide rows without any error, hence the walk through all pages.
@@ -307,7 +288,7 @@ def _refuse_other_objects(path: Path, connection: sqlite3.Connection) -> None:
     expressions from the file. A trigger against UPDATE or DELETE may be missing.
     """
     with closing(sqlite3.connect(":memory:")) as model:
-        for statement in statements():
+        for statement in schema.statements():
             model.execute(statement)
         wanted = _objects(model)
     found = _objects(connection)
@@ -315,7 +296,7 @@ def _refuse_other_objects(path: Path, connection: sqlite3.Connection) -> None:
     if strange:
         kind, _ = wanted.get(strange[0], ("part", ""))
         raise damaged(path, f"'{_excerpt(strange[0])}' is no {kind} of a session file")
-    missing = [table for table in TABLES if table not in found]
+    missing = [table for table in schema.TABLES if table not in found]
     if missing:
         raise damaged(path, f"no such table: {missing[0]}")
 
@@ -361,28 +342,30 @@ class ArchiveView(Closing):
         finally:
             self._connection.rollback()
 
-    def header(self) -> Header:
+    def header(self) -> schema.Header:
         """Return the header of the session; it is read from the file once, because it never changes."""
         return self._header
 
     @cached_property
-    def _header(self) -> Header:
+    def _header(self) -> schema.Header:
         stored = {row["key"]: row["value"] for row in self._rows("meta", "key")}
         with translated_errors(self.path):
-            values = checked_value("table meta", META, stored)
+            values = schema.checked_value("table meta", schema.META, stored)
         values["plan"] = Plan.from_dict(values["plan"])
         if values["fixture_sigma_deg"] == "free":
             values["fixture_sigma_deg"] = math.inf
-        return Header(**values)
+        return schema.Header(**values)
 
-    def records(self, kind: str | None = None) -> list[Record]:
+    def records(self, kind: str | None = None) -> list[schema.Record]:
         """Return the records of one kind, or of all kinds if `kind` is None, in the order of writing."""
         found = []
         for row in self._rows("records", "record", kind=kind):
             number, own = row.pop("record"), row["kind"]
             with translated_errors(self.path):
-                checked_value(f"record {number}: {own}", RECORDS.get(own, anything), row["value"])
-            found.append(Record(**row))
+                schema.checked_value(
+                    f"record {number}: {own}", schema.RECORDS.get(own, anything), row["value"]
+                )
+            found.append(schema.Record(**row))
         return found
 
     def last(self, kind: str) -> Any:
@@ -390,7 +373,7 @@ class ArchiveView(Closing):
         records = self.records(kind)
         return records[-1].value if records else None
 
-    def runs(self) -> list[JsonDict]:
+    def runs(self) -> list[schema.JsonDict]:
         """Return the rows of the table `runs`: one for each time a program opened the session to record."""
         return self._rows("runs", "run")
 
@@ -399,7 +382,7 @@ class ArchiveView(Closing):
         extended = self.last("plan")
         return self.header().plan if extended is None else Plan.from_dict(extended)
 
-    def attempts(self) -> list[StoredAttempt]:
+    def attempts(self) -> list[schema.StoredAttempt]:
         """Return all attempts to record a dwell, complete or not, in the order of their numbers."""
         offsets = {run["run"]: run["clock_offset_s"] for run in self.runs()}
         stored = []
@@ -407,11 +390,11 @@ class ArchiveView(Closing):
             position = Position(row.pop("angle_deg"), row.pop("approach"), row.pop("use"))
             row |= {"number": row.pop("attempt"), "registers": tuple(row["registers"])}
             offset_s = offsets.get(row["run"], math.nan)
-            stored.append(StoredAttempt(position=position, offset_s=offset_s, **row))
+            stored.append(schema.StoredAttempt(position=position, offset_s=offset_s, **row))
         self._refuse_strangers(stored)
         return stored
 
-    def _refuse_strangers(self, stored: list[StoredAttempt]) -> None:
+    def _refuse_strangers(self, stored: list[schema.StoredAttempt]) -> None:
         """Raise `DataError` if an attempt with a valid row contradicts the header, the plan or the runs."""
         header, places = self.header(), len(self.plan())
         runs = {run["run"]: run["continues"] for run in self.runs()}
@@ -438,7 +421,7 @@ class ArchiveView(Closing):
             if after and not of_number.get(after, run) < run:
                 raise damaged(self.path, f"run {run} goes on after attempt {after}")
 
-    def dwells(self) -> list[StoredAttempt]:
+    def dwells(self) -> list[schema.StoredAttempt]:
         """Return the complete dwells in the order of recording, at most one for each position of the plan.
 
         If a position was repeated, only its last dwell counts. If the operator withdrew this dwell, the
@@ -449,7 +432,7 @@ class ArchiveView(Closing):
         counted = set(latest.values()) - self.withdrawn()
         return [a for a in attempts if a.number in counted]
 
-    def doubts(self) -> list[JsonDict]:
+    def doubts(self) -> list[schema.JsonDict]:
         """Return the reasons to doubt a result of this session, as mappings with `kind` and `message`.
 
         There are two sorts of reason. If the operator overruled a guard (a check at the bench) in a dwell
@@ -475,7 +458,7 @@ class ArchiveView(Closing):
             raise damaged(self.path, f"a record names place {place}, which the plan does not have")
         return place
 
-    def offset_writes(self) -> list[JsonDict]:
+    def offset_writes(self) -> list[schema.JsonDict]:
         """Return the recorded steps of writes to the sensor's offset registers, each a mapping, in order.
 
         Raises
@@ -508,7 +491,7 @@ class ArchiveView(Closing):
         settled = {a.place for a in self.dwells()} | self.skipped()
         return [place for place in range(len(self.plan())) if place not in settled]
 
-    def blocks(self, attempt: StoredAttempt, phase: Phase | None = None) -> list[Block]:
+    def blocks(self, attempt: schema.StoredAttempt, phase: schema.Phase | None = None) -> list[Block]:
         """Return the blocks of samples of an attempt, of one phase or (None) of all phases.
 
         Raises
@@ -526,7 +509,7 @@ class ArchiveView(Closing):
             raise damaged(self.path, f"{stored} of {attempt.blocks} blocks of attempt {attempt.number}")
         return [self._block(attempt, row) for row in rows]
 
-    def _block(self, attempt: StoredAttempt, row: JsonDict) -> Block:
+    def _block(self, attempt: schema.StoredAttempt, row: schema.JsonDict) -> Block:
         where = f"block {row['sequence']} of attempt {attempt.number}"
         scans, words, time_s = row["scans"], row["words"], row["time_s"]
         width = len(attempt.registers) * (8 if attempt.variant == GENERIC else 2)
@@ -534,7 +517,7 @@ class ArchiveView(Closing):
             raise damaged(self.path, f"{where} does not hold {scans} scans")
         times = np.frombuffer(time_s, "<f8").astype(np.float64)
         # NaN fails every comparison; with `not` it is refused.
-        if not (np.abs(times) <= LARGEST_S).all() or (np.diff(times) < 0).any():
+        if not (np.abs(times) <= schema.LARGEST_S).all() or (np.diff(times) < 0).any():
             raise damaged(self.path, f"the times of {where} are no numbers that increase")
         block = from_bytes(
             words,
@@ -544,11 +527,11 @@ class ArchiveView(Closing):
             variant=attempt.variant,
             gyro_range_dps=attempt.gyro_range_dps,
         )
-        if attempt.variant == GENERIC and not (np.abs(block.values()) <= LARGEST_VALUE).all():
+        if attempt.variant == GENERIC and not (np.abs(block.values()) <= schema.LARGEST_VALUE).all():
             raise damaged(self.path, f"the samples of {where} are no numbers of a sensor")
         return block
 
-    def _line(self, attempt: int) -> list[StoredAttempt]:
+    def _line(self, attempt: int) -> list[schema.StoredAttempt]:
         """Return the last attempt of each run that led to the attempt with the number `attempt`, in order.
 
         The list ends with this attempt. The entry of an earlier run is the attempt after which the next run
@@ -556,13 +539,13 @@ class ArchiveView(Closing):
         """
         continues = {run["run"]: run["continues"] for run in self.runs()}
         of_number = {stored.number: stored for stored in self.attempts()}
-        line: list[StoredAttempt] = []
+        line: list[schema.StoredAttempt] = []
         while attempt:
             line.insert(0, of_number[attempt])
             attempt = continues[line[0].run]
         return line
 
-    def moves_before(self, attempt: int) -> list[Move]:
+    def moves_before(self, attempt: int) -> list[schema.Move]:
         """Return the moves of the stage up to the end of an attempt, in order.
 
         `attempt` is the number of the attempt. Moves that a resumed run does not build on are left out.
@@ -580,7 +563,9 @@ class ArchiveView(Closing):
         """Close the file; may be called twice."""
         self._connection.close()
 
-    def _rows(self, table: str, order: str, kind: str | None = None, **where: int | str) -> list[JsonDict]:
+    def _rows(
+        self, table: str, order: str, kind: str | None = None, **where: int | str
+    ) -> list[schema.JsonDict]:
         """Return the checked rows of a table, each by column name, without checksums.
 
         `order` names the column by which the rows are sorted, `where` gives values of columns that the rows
@@ -598,19 +583,19 @@ class ArchiveView(Closing):
             )
             # One row at a time: a bad row is refused before the next row is read into memory.
             for number, row in enumerate(rows, start=1):
-                if checksum(*row[:-1]) != row[-1]:
+                if schema.checksum(*row[:-1]) != row[-1]:
                     raise damaged(self.path, f"checksum of row {number} of table {table}")
                 if kind is not None and kind != row[-3]:
                     continue
                 characters += sum(len(part) for part in row if isinstance(part, str))
                 if characters > MOST_TEXT:
                     raise damaged(self.path, f"table {table} holds more than {MOST_TEXT} characters")
-                checked.append(checked_row(table, row[:-1], f"row {number} of table {table}: "))
+                checked.append(schema.checked_row(table, row[:-1], f"row {number} of table {table}: "))
         return checked
 
 
-def _move(row: JsonDict) -> Move:
-    aim, move = row["direction"], Move(row["bus_s"], row["angle_deg"], row["approach"])
+def _move(row: schema.JsonDict) -> schema.Move:
+    aim, move = row["direction"], schema.Move(row["bus_s"], row["angle_deg"], row["approach"])
     if isinstance(aim, dict):
         return replace(move, turned_deg=aim["turned_deg"])
     return move if aim is None else replace(move, direction=(aim[0], aim[1], aim[2]))
@@ -632,11 +617,11 @@ class Archive(ArchiveView):
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
         self.path = path
         self._connection = connection
-        self.utc: Callable[[], str] = utc_now
+        self.utc: Callable[[], str] = schema.utc_now
         self._run = 0
 
     @classmethod
-    def create(cls, path: str | Path, header: Header) -> Archive:
+    def create(cls, path: str | Path, header: schema.Header) -> Archive:
         """Create a session file with this header and open it for writing.
 
         Raises
@@ -651,10 +636,10 @@ class Archive(ArchiveView):
         values = dict(vars(header)) | {"plan": header.plan.as_dict(), "settings": dict(header.settings)}
         if header.fixture_sigma_deg is not None and math.isinf(header.fixture_sigma_deg):
             values["fixture_sigma_deg"] = "free"
-        values["created_utc"] = header.created_utc or utc_now()
+        values["created_utc"] = header.created_utc or schema.utc_now()
         try:
             with archive._transaction(new=True):
-                for statement in statements():
+                for statement in schema.statements():
                     archive._connection.execute(statement)
                 for key, value in values.items():
                     archive._insert("meta", key, value)
@@ -700,7 +685,7 @@ class Archive(ArchiveView):
         with self._transaction():
             self._record(kind, value, bus_s)
 
-    def add_attempt(self, attempt: Attempt) -> int:
+    def add_attempt(self, attempt: schema.Attempt) -> int:
         """Write an attempt with its scans and moves to the disk, completely or not at all.
 
         The number of scans dropped within the dwell is written as a separate record, which older programs
@@ -753,9 +738,9 @@ class Archive(ArchiveView):
         return int(largest) + 1
 
     def _insert(self, table: str, *values: Any) -> None:
-        row = [column.stored(value) for column, value in zip(TABLES[table], values, strict=True)]
+        row = [column.stored(value) for column, value in zip(schema.TABLES[table], values, strict=True)]
         marks = ", ".join("?" * (len(row) + 1))
-        self._connection.execute(f"INSERT INTO {table} VALUES ({marks})", (*row, checksum(*row)))
+        self._connection.execute(f"INSERT INTO {table} VALUES ({marks})", (*row, schema.checksum(*row)))
 
     @contextmanager
     def _transaction(self, *, new: bool = False) -> Iterator[None]:

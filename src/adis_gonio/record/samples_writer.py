@@ -21,20 +21,13 @@ from numpy.typing import NDArray
 from adis_gonio.base import Closing
 from adis_gonio.base.errors import OutputError, UsageError
 from adis_gonio.base.output import ends_in, exists_error
-from adis_gonio.model.records import (
-    METADATA,
-    STANDARD_GRAVITY_MPS2,
-    AccelUnit,
-    Dwell,
-    Session,
-    Turn,
-)
+from adis_gonio.model import records
 from adis_gonio.record.blocks import GENERIC, Block, session_columns
 from adis_gonio.record.plans import Plan
 from adis_gonio.record.samples_columns import COLUMNS, KEYS, without_formulas
 
 
-def write_samples_csv(session: Session, path: str | Path) -> None:
+def write_samples_csv(session: records.Session, path: str | Path) -> None:
     """Write a session as samples CSV, gzipped if the name ends in `.gz`.
 
     Numbers are written with the fewest digits that give the same float again. Columns that no dwell has are
@@ -79,8 +72,8 @@ def _file_text(leading: list[str], names: list[str], rows: Iterable[Iterable[str
 def _all_rows(
     names: list[str],
     columns: Mapping[str, list[NDArray[Any]]],
-    dwells: Sequence[Dwell],
-    turns: Mapping[int, Turn],
+    dwells: Sequence[records.Dwell],
+    turns: Mapping[int, records.Turn],
 ) -> Iterator[tuple[str, ...]]:
     """Yield the rows of all dwells and of the turns between them, one after another.
 
@@ -92,7 +85,7 @@ def _all_rows(
         if k and dwell.position in turns:
             turn = turns[dwell.position]
             inside = (turn.time_s > dwells[k - 1].time_s[-1]) & (turn.time_s < dwell.time_s[0])
-            part = Dwell(0, **turn.series(inside)).columns()
+            part = records.Dwell(0, **turn.series(inside)).columns()
             # A turn that lacks a column of the file, such as the gyros, is left out.
             if series <= part.keys():
                 yield from _rows(names, {name: part[name] for name in series})
@@ -131,8 +124,8 @@ def template_text(
     plan: Plan,
     *,
     sensor: str = "adis16354",
-    accel_unit: AccelUnit = "mg",
-    gravity_mps2: float = STANDARD_GRAVITY_MPS2,
+    accel_unit: records.AccelUnit = "mg",
+    gravity_mps2: float = records.STANDARD_GRAVITY_MPS2,
     fixture_sigma_deg: float | None = None,
 ) -> str:
     """Return a CSV file to fill in by hand: keys, their meaning, and a row for each position of a plan.
@@ -159,7 +152,7 @@ def template_text(
         raise UsageError("a generic sensor has no LSB that is known: give --unit mg, g, mps2 or counts")
     planar = plan.plane == "xy"
     keys: dict[str, Any] = {
-        **dict.fromkeys(("title", *METADATA)),
+        **dict.fromkeys(("title", *records.METADATA)),
         "sensor": sensor,
         "accel_unit": accel_unit,
         "gravity_mps2": gravity_mps2,
@@ -180,7 +173,7 @@ def template_text(
     return _file_text([*_leading_lines(keys), *(f"# {line}" for line in _HELP)], names, rows)
 
 
-def session_dict(session: Session) -> dict[str, Any]:
+def session_dict(session: records.Session) -> dict[str, Any]:
     """Return a session without its samples in JSON form; a `fixture_sigma_deg` of inf is "free"."""
     stated = {name: getattr(session, name) for name in KEYS if hasattr(session, name)}
     if session.free_attitudes:
@@ -232,7 +225,7 @@ class SamplesRecorder(Closing):
         path: Path,
         variant: str,
         *,
-        gravity_mps2: float = STANDARD_GRAVITY_MPS2,
+        gravity_mps2: float = records.STANDARD_GRAVITY_MPS2,
         title: str = "",
         filter_m: int | None = None,
     ) -> None:

@@ -22,15 +22,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import BusTimeoutError, UsageError
-from adis_gonio.device.bus.contract import (
-    FRAME_BITS,
-    Capability,
-    FrameBlock,
-    FrameStream,
-    SpiBus,
-    SpiTiming,
-    Words,
-)
+from adis_gonio.device.bus import contract
 from adis_gonio.device.bus.host import SAFE_TIMING, UrlOptions
 from adis_gonio.device.bus.opening import BusUrl, Device
 from adis_gonio.model.effects import parse_effect
@@ -44,7 +36,7 @@ _TRIGGER_S = 2e-6
 _OPTIONS = ("seed", "day", "variant", "stream", "realtime", "effects")
 
 
-class SimBus(SpiBus):
+class SimBus(contract.SpiBus):
     """A bus with a simulated chip of the ADIS16350 family, mounted on a simulated stage.
 
     Parameters
@@ -80,9 +72,9 @@ class SimBus(SpiBus):
         self.world = world
         self.chip = chip or SimulatedChip(self.world, self.world.variant, start_s=-_POWERED_BEFORE_S)
         self.stage = SimStage(self, self.world.stage)
-        offered = {Capability.HARD_RESET}
+        offered = {contract.Capability.HARD_RESET}
         if stream:
-            offered |= {Capability.STREAM, Capability.EVENT_COUNTER}
+            offered |= {contract.Capability.STREAM, contract.Capability.EVENT_COUNTER}
         self.capabilities = frozenset(offered)
         self._now = 0.0
         self._last_start = self._last_rise = -math.inf
@@ -121,10 +113,10 @@ class SimBus(SpiBus):
 
     # -- frames ----------------------------------------------------------------------------------
 
-    def _configure(self, timing: SpiTiming) -> SpiTiming:
+    def _configure(self, timing: contract.SpiTiming) -> contract.SpiTiming:
         return timing
 
-    def _exchange(self, frames: Words) -> Words:
+    def _exchange(self, frames: contract.Words) -> contract.Words:
         if self._stream is not None:
             raise UsageError(f"{self.url}: a stream is running; close it first")
         start = max(
@@ -136,7 +128,7 @@ class SimBus(SpiBus):
         starts_s = start + frame_s * np.arange(len(frames), dtype=np.float64)
         replies = self.chip.frames_at(frames, starts_s, clock_hz=self.timing.clock_hz)
         self._last_start = start + (len(frames) - 1) * frame_s
-        self._last_rise = self._last_start + FRAME_BITS / self.timing.clock_hz
+        self._last_rise = self._last_start + contract.FRAME_BITS / self.timing.clock_hz
         self._set_now(start + len(frames) * frame_s)
         return replies
 
@@ -146,7 +138,7 @@ class SimBus(SpiBus):
 
     # -- optional capabilities ---------------------------------------------------------------------
 
-    def _start_stream(self, frames: Sequence[int], block_scans: int) -> FrameStream:
+    def _start_stream(self, frames: Sequence[int], block_scans: int) -> contract.FrameStream:
         if self._stream is not None:
             raise UsageError(f"{self.url}: a stream is running; close it first")
         self._stream = SimStream(self, np.array(frames, np.uint16), block_scans)
@@ -161,14 +153,14 @@ class SimBus(SpiBus):
         return new
 
 
-class SimStream(FrameStream):
+class SimStream(contract.FrameStream):
     """A stream of a simulated bus, which scans at each data-ready edge.
 
     The list of read frames runs after each falling edge, followed by one idle frame that fetches the last
     reply; edges during a run are lost. Scans that fall between two calls of the program are buffered.
     """
 
-    def __init__(self, bus: SimBus, frames: Words, block_scans: int) -> None:
+    def __init__(self, bus: SimBus, frames: contract.Words, block_scans: int) -> None:
         self._bus = bus
         self._list = np.append(frames, np.uint16(0))
         self._block = block_scans
@@ -177,7 +169,7 @@ class SimStream(FrameStream):
         self._open = True
         self._require_edges()
 
-    def __next__(self) -> FrameBlock:
+    def __next__(self) -> contract.FrameBlock:
         bus = self._bus
         with bus._lock:
             if not self._open:
@@ -202,9 +194,9 @@ class SimStream(FrameStream):
             self._last_edge = float(edges[-1])
             self._free_s = float(edges[-1] + _TRIGGER_S + k * timing.frame_s)
             bus._last_start = float(starts[-1, -1])
-            bus._last_rise = bus._last_start + FRAME_BITS / timing.clock_hz
+            bus._last_rise = bus._last_start + contract.FRAME_BITS / timing.clock_hz
             bus._set_now(self._free_s)
-            return FrameBlock(np.ascontiguousarray(words), edges, lost)
+            return contract.FrameBlock(np.ascontiguousarray(words), edges, lost)
 
     def close(self) -> None:
         """Stop the stream, so that the bus accepts other frames again."""

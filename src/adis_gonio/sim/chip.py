@@ -50,6 +50,7 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, EA, GYRO_OFF, ND, Variant, variant
+from adis_gonio.sim import sampling
 from adis_gonio.sim.memory import (
     FLASH_S,
     SELF_TEST_S,
@@ -61,16 +62,6 @@ from adis_gonio.sim.memory import (
     SerialLimits,
     serial_limits,
     update_period_s,
-)
-from adis_gonio.sim.sampling import (
-    ALARM_BITS,
-    GYRO_COLUMNS,
-    IDEAL,
-    OUTPUTS,
-    Electronics,
-    SignalChain,
-    Surroundings,
-    Updates,
 )
 
 _MISC = BY_NAME["MSC_CTRL"]
@@ -95,7 +86,7 @@ def dio_levels(memory: Memory, *, pulse: bool, status: int) -> tuple[int | None,
         _GPIO.field(f"level{k}").of(gpio) if _GPIO.field(f"output{k}").of(gpio) else None for k in (1, 2)
     ]
     if _ALARM.field("output").of(alarm):
-        active = bool(status & (ALARM_BITS[0] | ALARM_BITS[1]))
+        active = bool(status & (sampling.ALARM_BITS[0] | sampling.ALARM_BITS[1]))
         result[_ALARM.field("line").of(alarm)] = int(active == bool(_ALARM.field("polarity").of(alarm)))
     if _MISC.field("data_ready").of(misc):
         result[_MISC.field("line").of(misc)] = int(pulse == bool(_MISC.field("polarity").of(misc)))
@@ -108,7 +99,7 @@ _CHUNK = 1 << 15
 _SHORTEST_FAST_RUN = 4
 _EDGE_TOLERANCE = 1e-6  # of an update period: an update counts as done when asked for at its own time
 _COLUMN = np.full(32, -1)
-_COLUMN[[row.address >> 1 for row in OUTPUTS]] = np.arange(len(OUTPUTS))
+_COLUMN[[row.address >> 1 for row in sampling.OUTPUTS]] = np.arange(len(sampling.OUTPUTS))
 _PLAIN_READ = np.zeros(256, bool)
 _PLAIN_READ[: BY_NAME["COMMAND"].address + 2] = True
 _PLAIN_READ[BY_NAME["STATUS"].address : BY_NAME["STATUS"].address + 2] = False
@@ -193,7 +184,7 @@ class SimulatedChip:
 
     def __init__(
         self,
-        surroundings: Surroundings,
+        surroundings: sampling.Surroundings,
         part: str | Variant = "adis16354",
         *,
         start_s: float = 0.0,
@@ -204,7 +195,7 @@ class SimulatedChip:
         data_ready_pulse_s: float = 50e-6,
         update_edge: Literal["first", "last"] = "first",
         status_falls: bool = True,
-        electronics: Electronics | None = None,
+        electronics: sampling.Electronics | None = None,
     ) -> None:
         for name in self_test_failures:
             if name not in SELF_TEST_BITS:
@@ -220,8 +211,10 @@ class SimulatedChip:
         self._update_edge = update_edge
         self._falling = FALLING_BITS if status_falls else 0
         self._memory = Memory(flash, endurance)
-        self._electronics: Electronics = electronics or getattr(surroundings, "electronics", None) or IDEAL
-        self._sampler = SignalChain(self.variant, self._memory, self._electronics)
+        self._electronics: sampling.Electronics = (
+            electronics or getattr(surroundings, "electronics", None) or sampling.IDEAL
+        )
+        self._sampler = sampling.SignalChain(self.variant, self._memory, self._electronics)
         self._k = self._updates = self._status = self._standing = self._dac = 0
         self._reply = self._shifted = self._null_count = self._edges = 0
         self._state = State.STARTING
@@ -589,8 +582,8 @@ class SimulatedChip:
         self._status = self._standing = self._dac = 0
         self._reply = self._shifted = self._updates = 0
         self._memory.load()
-        self._read_at: NDArray[np.int64] = np.zeros(len(OUTPUTS), np.int64)
-        self._row: Words = np.zeros(len(OUTPUTS), np.uint16)
+        self._read_at: NDArray[np.int64] = np.zeros(len(sampling.OUTPUTS), np.int64)
+        self._row: Words = np.zeros(len(sampling.OUTPUTS), np.uint16)
         self._null_sum, self._null_count = np.zeros(3), 0
         self._restart_sampling(self._until, empty=True)
 
@@ -657,7 +650,7 @@ class SimulatedChip:
         while self._k < wanted:
             self._take(min(wanted - self._k, _CHUNK))
 
-    def _take(self, n: int) -> Updates:
+    def _take(self, n: int) -> sampling.Updates:
         """Simulate the next n internal updates and return their outputs."""
         count = np.arange(self._k + 1, self._k + n + 1, dtype=np.float64)
         times = self._epoch + count * self._period
@@ -671,6 +664,6 @@ class SimulatedChip:
         if self.data_ready_enabled:
             self._edges += n
         if self._state is State.NULLING:
-            self._null_sum += updates.unfiltered[:, GYRO_COLUMNS].sum(axis=0)
+            self._null_sum += updates.unfiltered[:, sampling.GYRO_COLUMNS].sum(axis=0)
             self._null_count += n
         return updates

@@ -26,16 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.device.sensor.registers import (
-    ACCEL_OFF,
-    BY_NAME,
-    GYRO_OFF,
-    LEAST_M,
-    RANGE_CODE,
-    REGISTERS,
-    Register,
-    Variant,
-)
+from adis_gonio.device.sensor import registers
 from adis_gonio.sim.memory import PRECISION_S, Memory
 
 
@@ -151,7 +142,7 @@ def _boxcar(samples: Integers, n: int) -> Integers:
     return sums
 
 
-OUTPUTS: tuple[Register, ...] = tuple(row for row in REGISTERS if row.flags)
+OUTPUTS: tuple[registers.Register, ...] = tuple(row for row in registers.REGISTERS if row.flags)
 """Output registers in order of address, which are the columns of all arrays in this module."""
 GYRO_COLUMNS = slice(1, 4)
 ACCEL_COLUMNS = slice(4, 7)
@@ -177,7 +168,7 @@ _LARGEST = float(1 << 30)
 # Columns of the sources that ALM_CTRL numbers: 1 supply, 2-4 gyros, 5-7 accelerometers, 8-10
 # temperatures, 11 auxiliary input: the order of the output registers.
 
-STATUS = BY_NAME["STATUS"]
+STATUS = registers.BY_NAME["STATUS"]
 ALARM_BITS = (STATUS.field("alarm1").mask, STATUS.field("alarm2").mask)
 _OVER_RANGE = STATUS.field("over_range").mask
 _SUPPLY_LOW = STATUS.field("supply_low").mask
@@ -235,7 +226,9 @@ class Updates:
 class SignalChain:
     """The chip's processing from physical inputs to output registers: filter, offsets, range, alarms."""
 
-    def __init__(self, variant: Variant, memory: Memory, electronics: Electronics = IDEAL) -> None:
+    def __init__(
+        self, variant: registers.Variant, memory: Memory, electronics: Electronics = IDEAL
+    ) -> None:
         self._variant = variant
         self._electronics = electronics
         own = np.eye(3) * variant.performance.gyro_g_sensitivity_dps_per_g
@@ -249,9 +242,15 @@ class SignalChain:
 
     def configure(self, memory: Memory) -> None:
         """Read the settings from the registers; empty the filter if gyro range or filter size changed."""
-        code = BY_NAME["SENS_AVG"].field("range").of(memory["SENS_AVG"])
-        gyro_range = next((dps for dps, known in RANGE_CODE.items() if known == code), 300)
-        m = min(max(BY_NAME["SENS_AVG"].field("m").of(memory["SENS_AVG"]), LEAST_M[gyro_range]), MOST_M)
+        code = registers.BY_NAME["SENS_AVG"].field("range").of(memory["SENS_AVG"])
+        gyro_range = next((dps for dps, known in registers.RANGE_CODE.items() if known == code), 300)
+        m = min(
+            max(
+                registers.BY_NAME["SENS_AVG"].field("m").of(memory["SENS_AVG"]),
+                registers.LEAST_M[gyro_range],
+            ),
+            MOST_M,
+        )
         if (gyro_range, m) != (self.gyro_range_dps, self.m):
             self.clear()
         self.gyro_range_dps, self.m = gyro_range, m
@@ -259,13 +258,13 @@ class SignalChain:
         self._gain = np.array([_ONE / lsb for lsb, _, _ in sizes])
         self._zero = np.array([zero for _, zero, _ in sizes])
         offset = np.zeros(len(OUTPUTS), np.int64)
-        for k, name in enumerate(GYRO_OFF):
-            number = BY_NAME[name].number(memory[name])
+        for k, name in enumerate(registers.GYRO_OFF):
+            number = registers.BY_NAME[name].number(memory[name])
             offset[GYRO_COLUMNS.start + k] = number * _ONE // _GYRO_OFF_PER_LSB[gyro_range]
-        for k, name in enumerate(ACCEL_OFF):
-            offset[ACCEL_COLUMNS.start + k] = BY_NAME[name].number(memory[name]) * _ONE
+        for k, name in enumerate(registers.ACCEL_OFF):
+            offset[ACCEL_COLUMNS.start + k] = registers.BY_NAME[name].number(memory[name]) * _ONE
         self._offset = offset
-        misc = BY_NAME["MSC_CTRL"]
+        misc = registers.BY_NAME["MSC_CTRL"]
         msc_ctrl = memory["MSC_CTRL"]
         sign = misc.field("positive").of(msc_ctrl) - misc.field("negative").of(msc_ctrl)
         self._manual_test = float(sign)
@@ -286,7 +285,7 @@ class SignalChain:
 
         `mean_unfiltered` is (3,) in 1/1024 LSB.
         """
-        low, high = BY_NAME[GYRO_OFF[0]].range
+        low, high = registers.BY_NAME[registers.GYRO_OFF[0]].range
         scale = _GYRO_OFF_PER_LSB[self.gyro_range_dps]
         return [int(min(max(round(-value * scale / _ONE), low), high)) for value in mean_unfiltered]
 
@@ -369,7 +368,7 @@ class SignalChain:
 
 
 def _alarms(memory: Memory) -> list[AlarmSetting]:
-    control, word = BY_NAME["ALM_CTRL"], memory["ALM_CTRL"]
+    control, word = registers.BY_NAME["ALM_CTRL"], memory["ALM_CTRL"]
     alarms = []
     for k in (1, 2):
         source = control.field(f"source{k}").of(word)
