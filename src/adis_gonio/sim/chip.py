@@ -402,7 +402,8 @@ class SimulatedChip:
         first = float(starts[0])
         if first < max(self._last_start, self._time_s - TOLERANCE_S):
             return 0
-        self._advance(first)
+        if self._until <= first:
+            self._advance(first)
         limits = serial_limits(self._memory["SMPL_PRD"])
         if self._state is not State.RUNNING or not limits.clock_ok(clock_hz):
             return 0
