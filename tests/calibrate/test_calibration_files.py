@@ -93,7 +93,7 @@ def damaged():
     yield put("schema", value="other"), "is no calibration"
     yield put("version", value=2), "version 2, this program reads 1: update"
     yield lambda d: d.pop("parameters"), "lacks 'parameters'"
-    yield lambda d: d["parameters"].pop("scale_x"), "names of the covariance"
+    yield lambda d: d["parameters"].pop("scale_x"), "differ in names: scale_x"
     yield put("parameters", "scale_x", "value", value="big"), "parameters.scale_x.value is 'big'"
     yield put("parameters", "scale_x", "value", value=None), "parameters.scale_x.value is None"
     yield put("parameters", "scale_x", "value", value=10**400), "or too large"

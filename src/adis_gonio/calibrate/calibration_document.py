@@ -24,9 +24,9 @@ from adis_gonio.base.shapes import (
     whole,
 )
 from adis_gonio.calibrate.calibration import VERSION, Calibration, Coefficient, EffectTerm, NotCorrected
-from adis_gonio.calibrate.gyro_calibration import KIND_OF, GyroCalibration
+from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.device.sensor.registers import BY_NAME
-from adis_gonio.model.effects import AXES, effect
+from adis_gonio.model.effects import effect
 from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
 from adis_gonio.model.records import SENSORS
 from adis_gonio.record.provenance import Covered, Provenance
@@ -173,13 +173,6 @@ def _read_gyro(document: Mapping[str, Any]) -> GyroCalibration:
     # Effects of temperature and supply are zero at the reference: another one would move the zero rates.
     if (reference["temperature_c"], reference["supply_v"]) != (REFERENCE_C, REFERENCE_V):
         raise ValueError(f"its reference is not {REFERENCE_C:g} °C and {REFERENCE_V:g} V")
-    names = list(document["parameters"])
-    strange = [name for name in names if name not in KIND_OF]
-    missing = [f"gyro_bias_{axis}" for axis in AXES if f"gyro_bias_{axis}" not in names]
-    if strange:
-        raise ValueError(f"{strange[0]} is no parameter of a gyro")
-    if missing:
-        raise ValueError(f"parameter {missing[0]} is missing")
     # Files of older versions lack the source.
     made = GyroCalibration(source=document.get("source", ""), **_read_body(document))
     made.check()
@@ -215,7 +208,8 @@ def matrix_of(covariance: Mapping[str, Any], names: list[str]) -> Floats:
         variance is negative.
     """
     if covariance["names"] != names:
-        raise ValueError("the names of the covariance differ from the names of the parameters")
+        apart = sorted(set(covariance["names"]) ^ set(names))
+        raise ValueError(f"parameters and covariance differ in names: {', '.join(apart) or 'the order'}")
     rows, p = covariance["matrix"], len(names)
     if len(rows) != p or any(len(row) != p for row in rows):
         raise ValueError(f"the covariance of {p} parameters is no matrix of {p} × {p} finite numbers")

@@ -142,11 +142,6 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
             for name in KIND_OF
             if name in estimates and np.isfinite([estimates[name].value, estimates[name].u or 0.0]).all()
         ]
-        missing = [f"gyro_bias_{axis}" for axis in AXES if f"gyro_bias_{axis}" not in known]
-        if missing:
-            raise FitError(
-                f"the session does not determine {', '.join(missing)}: its gyros are not calibrated"
-            )
         parameters = tuple(Coefficient.of(name, estimates[name]) for name in known)
         if where is not None:
             about |= {name: getattr(where, name) for name in ("temperature_c", "supply_v", "source")}
@@ -162,7 +157,12 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         return made
 
     def check(self) -> None:
-        """Raise `FitError` for a wrong unit, or for impossible scale factors or misalignments."""
+        """Raise `FitError` for a missing zero rate, a wrong unit, or impossible gains or directions."""
+        missing = [f"gyro_bias_{axis}" for axis in AXES if f"gyro_bias_{axis}" not in self]
+        if missing:
+            raise FitError(
+                f"the session does not determine {', '.join(missing)}: its gyros are not calibrated"
+            )
         for one in self.parameters:
             if one.unit != UNIT_OF.get(one.name):
                 raise FitError(f"{one.name} in {one.unit} is no parameter of a gyro")
@@ -408,19 +408,16 @@ def _taken(
 ) -> Floats | None:
     """Return the covariance (p, p) of the parameters; None if any u is unknown.
 
-    `covariance` has names of parameters and their covariance matrix, or is None. Parameters that it does
-    not name are uncorrelated and have the variance u².
+    `covariance` has the names of these and perhaps other parameters, and their covariance matrix. If it is
+    None, the parameters are uncorrelated and have the variance u².
     """
     if any(one.u is None for one in parameters):
         return None
-    taken: Floats = np.diag([float(one.u or 0.0) ** 2 for one in parameters])
-    if covariance is not None:
-        given, matrix = list(covariance[0]), np.asarray(covariance[1], dtype=float)
-        inside = [k for k, one in enumerate(parameters) if one.name in given]
-        # Replace the diagonal by the given covariance for the parameters in it.
-        rows = [given.index(parameters[k].name) for k in inside]
-        taken[np.ix_(inside, inside)] = (matrix[np.ix_(rows, rows)] + matrix[np.ix_(rows, rows)].T) / 2
-    return taken
+    if covariance is None:
+        return np.diag([float(one.u or 0.0) ** 2 for one in parameters])
+    rows = [list(covariance[0]).index(one.name) for one in parameters]
+    taken = np.asarray(covariance[1], dtype=float)[np.ix_(rows, rows)]
+    return np.asarray((taken + taken.T) / 2)
 
 
 def gyro_directions(misalignment_deg: Floats) -> Floats:

@@ -676,9 +676,7 @@ def require_plane(series: TurnRecording, windows: Windows, psi_rad: Floats, grav
     return []
 
 
-def remarks(
-    series: TurnRecording, windows: Windows, psi_rad: Floats, u_phi_deg: float, wanted: int = 0
-) -> list[str]:
+def remarks(windows: Windows, psi_rad: Floats, u_phi_deg: float, wanted: int = 0) -> list[str]:
     """Return remarks for the user on a valid turn, such as missing rests or samples; often none.
 
     `psi_rad` (m,) is the unwrapped angle at each window, `u_phi_deg` is the standard uncertainty of Δφ;
@@ -837,7 +835,7 @@ def _fitted(session: Session) -> FreeTurnResult:
     parameters = estimates(own, sources)
     u_phi = next(one.u or 0.0 for one in parameters if one.name == "delta_phi")
     wanted = int(session.facts.get("plan", {}).get("turns", 0))
-    notes += remarks(series, windows, solution.psi_rad, u_phi, wanted)
+    notes += remarks(windows, solution.psi_rad, u_phi, wanted)
     accel = solution.residual_mg
     return FreeTurnResult(
         METHOD,

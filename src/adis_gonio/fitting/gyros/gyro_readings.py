@@ -271,15 +271,15 @@ def _consecutive(turns: Sequence[Turn]) -> dict[int, int]:
     each begins in the dwell in which the turn before ended. They share the error of the direction of their
     axis. A turn without a declared angle counts as a series of length 1.
     """
-    consecutive = {turn.position: 1 for turn in turns}
-    group: list[int] = []
+    series: list[list[Turn]] = []
     for turn in turns:
-        if turn.turned_deg is None:
-            group = []
-            continue
-        group = [*group, turn.position] if group and group[-1] == turn.before else [turn.position]
-        consecutive |= dict.fromkeys(group, len(group))
-    return consecutive
+        last = series[-1][-1] if series else None
+        declared = last is not None and None not in (last.turned_deg, turn.turned_deg)
+        if last is not None and declared and last.position == turn.before:
+            series[-1].append(turn)
+        else:
+            series.append([turn])
+    return {turn.position: len(each) for each in series for turn in each}
 
 
 def _surroundings(part: Dwell | Turn) -> Row:

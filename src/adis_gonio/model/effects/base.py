@@ -548,15 +548,16 @@ class AxisEffect(Effect):
 
 
 class LinearEffect(AxisEffect):
-    """Base class of axis effects that are linear in their parameters: reading = derivative × parameters."""
+    """Base class of axis effects that are linear in their amplitudes: reading = derivative × amplitudes.
+
+    The amplitudes are all parameters but those in `common`.
+    """
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Return the terms added to the readings, Σ parameter · basis function, (n, axes) in their unit."""
-        added = np.zeros(ideal.shape)
-        for value, rows in zip(
-            values, np.moveaxis(self.derivative(values, ideal, conditions), -1, 0), strict=True
-        ):
-            added += value * rows
+        """Return the terms added to the readings, Σ amplitude · basis function, (n, axes) in their unit."""
+        added, design = np.zeros(ideal.shape), self.derivative(values, ideal, conditions)
+        for k in range(len(values) - len(self.common)):
+            added += values[k] * design[..., k]
         return added
 
 
@@ -614,7 +615,7 @@ class CrossEffect(LinearEffect):
 
 
 @dataclass(frozen=True)
-class CourseEffect(AxisEffect):
+class CourseEffect(LinearEffect):
     """Base class of effects that add an amplitude times a function of time to the reading of each axis.
 
     The term of axis i is value_i · course(shape), with one amplitude value_i for each axis and one shape
@@ -629,14 +630,6 @@ class CourseEffect(AxisEffect):
     def courses(self, shape: float, ideal: Floats, conditions: Conditions) -> list[tuple[Floats, Floats]]:
         """Return for each of `axes` its function of time (n,), and the derivative (n,) by `shape`."""
         return [self.course(shape, conditions)] * len(self.axes)
-
-    def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
-        """Return the terms added to the readings: amplitude times `course`, (n, axes) in their unit."""
-        added = np.zeros(ideal.shape)
-        courses = self.courses(float(values[-1]), ideal, conditions)
-        for value, column, (course, _) in zip(values[:-1], self.columns_of(ideal), courses, strict=True):
-            added[:, column] = value * course
-        return added
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Return the derivative of the readings (n, axes, p) by the amplitudes and the shape."""
