@@ -15,8 +15,8 @@ import pytest
 from adis_gonio.base.errors import DataError, SessionError, UsageError
 from adis_gonio.device.sensor.driver import DEFAULT_SCAN
 from adis_gonio.device.sensor.settings import ScanBlock
-from adis_gonio.record.archive import APPLICATION_ID, Archive, ArchiveView, is_archive
-from adis_gonio.record.archive_tables import Attempt, Header, Move, utc_now
+from adis_gonio.record.archive import Archive, ArchiveView, is_archive
+from adis_gonio.record.archive_tables import APPLICATION_ID, Attempt, Header, Move, utc_now
 from adis_gonio.record.plans import plan
 from adis_gonio.record.session_reader import read_session
 from adis_gonio.record.source import Settings
