@@ -263,7 +263,7 @@ def plot(
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(_SETTINGS)
-        figure = Drawing(figsize=(width / 72, height / 72), layout="constrained")
+        figure = Drawing(figsize=(width / 72, height / 72))
         axes = figure.add_subplot()
         axes.set(xscale="log" if x_log else "linear", yscale="log" if y_log else "linear")
         axes.set(xlabel=x_label, ylabel=y_label)
@@ -274,7 +274,8 @@ def plot(
             for k, one in enumerate(series)
         ]
         _scale(axes, x_range, x_ticks)
-        _legend(figure, [line for one, line in zip(series, lines, strict=True) if one.label], width)
+        rows = _legend(figure, [line for one, line in zip(series, lines, strict=True) if one.label], width)
+        _fit_margins(figure, axes, rows)
         axes.grid(color="black", alpha=0.14, linewidth=1, clip_on=False)
         axes.spines[["left", "bottom"]].set(alpha=0.7, linewidth=1)
         axes.tick_params(length=0, pad=6)
@@ -352,20 +353,39 @@ def _scale(axes: Axes, x_range: tuple[float, float] | None, x_ticks: Mapping[flo
         axes.set_xticks(list(x_ticks), list(x_ticks.values()))
 
 
-def _legend(figure: Drawing, lines: Sequence[Line2D], width: int) -> None:
-    """Add a legend above the axes, with as many columns as fit into the width."""
-    if lines:
-        column = 34 + _CHARACTER * max(len(str(line.get_label())) for line in lines)
-        figure.legend(
-            handles=list(lines),
-            loc="outside upper left",
-            ncols=max(1, min(len(lines), int(width // column))),
-            frameon=False,
-            borderpad=0,
-            handlelength=1.6,
-            handletextpad=0.5,
-            columnspacing=1.2,
-        )
+def _legend(figure: Drawing, lines: Sequence[Line2D], width: int) -> int:
+    """Add a legend above the axes, with as many columns as fit into the width; return its rows."""
+    if not lines:
+        return 0
+    column = 34 + _CHARACTER * max(len(str(line.get_label())) for line in lines)
+    columns = max(1, min(len(lines), int(width // column)))
+    figure.legend(
+        handles=list(lines),
+        loc="upper left",
+        ncols=columns,
+        frameon=False,
+        borderpad=0,
+        borderaxespad=0.2,
+        handlelength=1.6,
+        handletextpad=0.5,
+        columnspacing=1.2,
+    )
+    return math.ceil(len(lines) / columns)
+
+
+def _fit_margins(figure: Drawing, axes: Axes, rows: int) -> None:
+    """Leave space around the axes for the labels and for the rows of the legend.
+
+    Matplotlib's layout engines measure all text three times, which takes longer than the drawing.
+    """
+    x, y = (
+        max(map(len, axis.get_major_formatter().format_ticks(list(axis.get_majorticklocs()))), default=0)
+        for axis in (axes.xaxis, axes.yaxis)
+    )
+    width, height = 72 * figure.get_size_inches()
+    half = _CHARACTER * x / 2  # of the longest label of x, in case it is the first or the last
+    left, below, above = max(30 + _CHARACTER * y, half), 40, 8 + 17 * rows
+    figure.subplots_adjust(left / width, below / height, 1 - (4 + half) / width, 1 - above / height)
 
 
 @dataclass(frozen=True)
