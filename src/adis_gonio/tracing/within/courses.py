@@ -33,10 +33,11 @@ from scipy import optimize, special
 
 from adis_gonio.base.arrays import MAD_TO_SD, Floats
 from adis_gonio.base.numbers import format_number
-from adis_gonio.base.uncertainty import FOUND_WITHIN, Value
+from adis_gonio.base.uncertainty import FOUND_WITHIN, Detectable, Value
 from adis_gonio.fitting.estimation.screening import LIVELY
 from adis_gonio.model.records import MG_PER_G
 from adis_gonio.tracing.within.samples import (
+    POWER,
     SEARCHES,
     Place,
     Samples,
@@ -654,3 +655,23 @@ def _finding_of_events(
         places=places,
         advice=f"repeat {positions_text(positions, 0)}: {cause} while the dwell was recorded",
     )
+
+
+def smallest_settling(samples: Samples) -> Detectable:
+    """Return the smallest amplitude of a settling, common to all dwells, that the search would have found.
+
+    The time constant is the middle of the searched grid; the limit comes from the t-test over the dwells.
+    """
+    usable = samples.counts >= LEAST_SAMPLES
+    constants = [tau for tau in grid(samples, usable) if tau is not None] if usable.any() else []
+    dwells = int(usable.sum())
+    if dwells < LEAST_DWELLS or not constants:
+        return Detectable(
+            None, "mg", "settling", f"needs {LEAST_DWELLS} dwells of {LEAST_SAMPLES} samples or more"
+        )
+    course = Course.of(samples, usable, constants[len(constants) // 2], by_move=False)
+    tests = (len(constants) + 1) * 2 * samples.axes
+    # Size in units of its u that exceeds the two-sided limit with a probability of 90 %.
+    p = FOUND_WITHIN / SEARCHES / tests / 2
+    size = -float(special.stdtrit(dwells - 1, p) + special.stdtrit(dwells - 1, 1 - POWER))
+    return Detectable(float(np.sqrt((course.noise / course.energy).max())) * size, "mg", "settling")

@@ -42,11 +42,12 @@ from scipy import ndimage, optimize, special
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.numbers import format_number
-from adis_gonio.base.uncertainty import FOUND_WITHIN, INADEQUATE, Value
+from adis_gonio.base.uncertainty import FOUND_WITHIN, INADEQUATE, Detectable, Value
 from adis_gonio.fitting.estimation.readings import Readings, quantization_variance
 from adis_gonio.fitting.estimation.screening import LIVELY, run_lengths
 from adis_gonio.model.records import Session
 from adis_gonio.tracing.within.samples import (
+    POWER,
     SEARCHES,
     Place,
     Samples,
@@ -612,3 +613,66 @@ def _varying(samples: Samples, dwells: NDArray[np.intp], levels: dict[int, Level
         ),
         places=tuple(places),
     )
+
+
+def smallest_noise_change(samples: Samples, density: Density | None) -> Detectable:
+    """Return the smallest white noise, added from mid-session on, that the search would have found.
+
+    Two tests look for one change of the noise between dwells: the F-test of the variance and the t-test
+    of the level. The amplitude is None if there are too few dwells.
+    """
+    if density is None or len(density.dwells) < LEAST_LOUD:
+        return Detectable(None, "mg", "extra", f"needs {LEAST_LOUD} dwells long enough for a spectrum")
+    dwells = len(density.dwells)
+    p = FOUND_WITHIN / SEARCHES / (2 * TESTS * samples.axes * (dwells - 1))
+    worst = 0.0
+    for axis in range(samples.axes):
+        own = levels_of(samples, density, axis)
+        half = float(own.dof.sum()) / 2
+        ratio = float(special.fdtri(half, half, 1 - p) / special.fdtri(half, half, 1 - POWER))
+        # The added noise scatters too, according to its degrees of freedom.
+        chance = math.sqrt(float(special.polygamma(1, np.median(own.level_dof) / 2)) * 4 / dwells)
+        away = _noncentral(p, dwells - 2) * max(step_of(own.course, own.level_dof, dwells // 2)[1], chance)
+        quiet = float(np.median(own.level)) * density.base[density.searched, axis]
+        seen = (own.common * (ratio - 1), _joining_variance(quiet, away))
+        worst = max(worst, math.sqrt(min(seen)))
+    return Detectable(worst, "mg", "extra")
+
+
+def _joining_variance(quiet: Floats, away: float) -> float:
+    """Return the variance in mg² of white noise that raises the level of half of the dwells by `away` nats.
+
+    `quiet` (points,) is the spectral density without the added noise. The level of a dwell is its mean
+    power in units of the density of all dwells, which the added noise changes too. The result is infinite
+    if no variance raises the level so much.
+    """
+    middle = len(quiet) // 2, (len(quiet) - 1) // 2
+
+    def median(values: Floats) -> float:
+        # Of a thousand points, without the checks for NaN and empty arrays that take np.median longer.
+        found = np.partition(values, middle)
+        return float(found[middle[0]] + found[middle[1]]) / 2
+
+    def missing(log_variance: float) -> float:
+        loud = quiet + math.exp(log_variance)
+        base = quiet
+        for _ in range(8):
+            base = (quiet / median(quiet / base) + loud / median(loud / base)) / 2
+        return float(np.log(np.mean(loud / base) / np.mean(quiet / base))) - away
+
+    low, high = float(np.log(quiet.min())) - 20, float(np.log(quiet.max())) + 50
+    return math.exp(optimize.brentq(missing, low, high, xtol=1e-3)) if missing(high) > 0 else math.inf
+
+
+def _noncentral(p: float, dof: int) -> float:
+    """Return the true value, in standard uncertainties, that a t-test detects with 90 % probability.
+
+    The test is one-sided, at significance level `p`. `dof` are the degrees of freedom of the test.
+    """
+    limit = -float(special.stdtrit(dof, p))
+
+    def missing(size: float) -> float:
+        # Far beyond the limit the function returns NaN instead of 0.
+        return 1 - float(np.nan_to_num(special.nctdtr(dof, size, limit))) - POWER
+
+    return float(optimize.brentq(missing, 0.0, 10 * limit + 50, xtol=1e-6))

@@ -159,6 +159,8 @@ Kind = Literal[
     "drift", "settling", "step", "disturbance", "tone", "spikes", "stuck", "noise_change", "limit", "coarse"
 ]
 
+POWER = 0.9
+"""Probability with which a search finds the smallest detectable amplitude of an effect."""
 SEARCHES = 6
 """Number of searches that share the error probability `FOUND_WITHIN`: spikes, stuck values, tones,
 variance, courses shared by the dwells, events in single dwells."""

@@ -34,35 +34,15 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from scipy import optimize, special
 
-from adis_gonio.base.arrays import Floats
-from adis_gonio.base.uncertainty import FOUND_WITHIN, Detectable
+from adis_gonio.base.uncertainty import Detectable
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.model.effects import catalogue
 from adis_gonio.model.records import Session
 from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.trace_result import Finding, TraceResult
-from adis_gonio.tracing.within.courses import LEAST_DWELLS, LEAST_SAMPLES, Course, courses, events, grid
-from adis_gonio.tracing.within.faults import (
-    LEAST_LOUD,
-    TESTS,
-    levels_of,
-    noise_change,
-    quantization,
-    saturation,
-    spikes,
-    step_of,
-    stuck,
-)
-from adis_gonio.tracing.within.samples import (
-    SEARCHES,
-    Samples,
-    WithinFinding,
-    samples_of,
-    scatter,
-)
-from adis_gonio.tracing.within.tones import TAPER_LOSS, Density, findings_of, moving_lines, tones
+from adis_gonio.tracing.within import courses, faults, tones
+from adis_gonio.tracing.within.samples import Samples, WithinFinding, samples_of, scatter
 
 _CLAIMED_DWELLS = 4
 """Smallest number of dwells with a finding for it to count as found."""
@@ -83,7 +63,8 @@ def with_second_pass(session: Session, data: Readings, result: TraceResult) -> T
     samples = samples_of(session, data)
     within, shown = ((), {}) if samples is None else look_within(samples)
     if samples is not None:
-        codes = (saturation(session, data), quantization(samples, correlation_reach(samples)))
+        coarse = faults.quantization(samples, correlation_reach(samples))
+        codes = (faults.saturation(session, data), coarse)
         within = (*(finding for finding in codes if finding is not None), *within)
     claimed = {finding.effect for finding in result.found}
     best: dict[str, WithinFinding] = {}
@@ -166,17 +147,31 @@ def look_within(samples: Samples) -> tuple[tuple[WithinFinding, ...], dict[str, 
     """Search inside the dwells; return the findings and the smallest detectable amplitudes by effect."""
     spread = scatter(samples)
     reach = correlation_reach(samples)
-    frozen = stuck(samples, spread, reach)
-    wild, samples = spikes(samples, spread, reach)
-    moving, samples, density = moving_lines(samples)
-    lines, samples, density = tones(samples, density)
-    change = noise_change(samples, density)
-    shared, samples = courses(samples)
+    frozen = faults.stuck(samples, spread, reach)
+    wild, samples = faults.spikes(samples, spread, reach)
+    moving, samples, density = tones.moving_lines(samples)
+    lines, samples, density = tones.tones(samples, density)
+    change = faults.noise_change(samples, density)
+    shared, samples = courses.courses(samples)
     # The scatter differs between dwells on the axes of this finding.
     unlike = [] if change is None else [samples.letters.index(axis) for axis in change.axes]
-    single = events(samples, unlike, reach)
-    every = [frozen, wild, *findings_of(moving, samples), *lines, change, *shared, *single]
-    return tuple(finding for finding in every if finding is not None), sensitivity(samples, density)
+    single = courses.events(samples, unlike, reach)
+    every = [frozen, wild, *tones.findings_of(moving, samples), *lines, change, *shared, *single]
+    shown = {
+        "tone": tones.smallest_tone(samples, density),
+        "noise_change": faults.smallest_noise_change(samples, density),
+        "settling": courses.smallest_settling(samples),
+        "saturation": Detectable(
+            None, "mg", "limit", "a limit that is reached shows as a pile of samples there"
+        ),
+        "quantization": Detectable(
+            None,
+            "mg",
+            "lsb",
+            "a step that noise hides is part of a reading's noise, a larger one would show",
+        ),
+    }
+    return tuple(finding for finding in every if finding is not None), shown
 
 
 def correlation_reach(samples: Samples) -> int:
@@ -200,149 +195,3 @@ def correlation_reach(samples: Samples) -> int:
         return 1
     low = np.flatnonzero(total / total[0] < _CORRELATED)
     return max(1, int(low[0]) if low.size else longest)
-
-
-_POWER = 0.9
-_TAPERED = 2 / 3 * 0.95
-"""Loss of a tone's power by Hann's taper, (Σw)²/(n Σw²), and between two frequencies of the grid."""
-_LARGEST = 1e6
-
-
-def sensitivity(samples: Samples, density: Density | None) -> dict[str, Detectable]:
-    """Return by effect the smallest amplitude that the search inside the dwells would find.
-
-    Parameters
-    ----------
-    samples : Samples
-        Samples with the effects of all findings subtracted.
-    density : Density or None
-        Spectral density of the samples' noise; None if the dwells are too short for a spectrum.
-    """
-    return {
-        "tone": _tone(samples, density),
-        "noise_change": _noise_change(samples, density),
-        "settling": _settling(samples),
-        "saturation": Detectable(
-            None, "mg", "limit", "a limit that is reached shows as a pile of samples there"
-        ),
-        "quantization": Detectable(
-            None,
-            "mg",
-            "lsb",
-            "a step that noise hides is part of a reading's noise, a larger one would show",
-        ),
-    }
-
-
-def _tone(samples: Samples, density: Density | None) -> Detectable:
-    """Return the smallest amplitude of a sine in all dwells that the search would have found.
-
-    The limit comes from the F-test of the spectrum pooled over the dwells. `density` is the noise density
-    of the dwells; with None (dwells too short) the result gives this reason.
-
-    An amplitude A adds c A² n/4S to an ordinate of n samples, with density S and loss c by the taper, so
-    that the sum of d ordinates is half a noncentral χ² variable with 2d degrees of freedom.
-    """
-    if density is None or not density.relative.size:
-        return Detectable(None, "mg", "tone", "the dwells are too short for a spectrum")
-    searched = density.searched
-    dwells, points, axes = density.relative.shape
-    p = FOUND_WITHIN / SEARCHES / (2.0 * points * axes)
-    counts = float(np.median(samples.counts[density.dwells]))
-    worst = 0.0
-    for axis in range(axes):
-        effective = float(density.effective[axis])
-        freedom = 2 * effective * float(np.median(density.width[searched])) / TAPER_LOSS
-        height = float(special.fdtri(2 * effective, freedom, 1 - p))
-
-        def missing(excess: float, height: float = height) -> float:
-            power = 1 - special.chndtr(2 * dwells * height, 2 * dwells, 2 * dwells * excess)
-            return float(power) - _POWER
-
-        excess = float(optimize.brentq(missing, 1e-6, _LARGEST, xtol=1e-6))
-        noise = float(np.median(density.level[:, axis])) * float(np.median(density.bound[searched, axis]))
-        worst = max(worst, float(np.sqrt(4 * noise * excess / (_TAPERED * counts))))
-    return Detectable(worst, "mg", "tone")
-
-
-def _noise_change(samples: Samples, density: Density | None) -> Detectable:
-    """Return the smallest white noise, added from mid-session on, that the search would have found.
-
-    Two tests look for one change of the noise between dwells: the F-test of the variance and the t-test
-    of the level. The amplitude is None if there are too few dwells.
-    """
-    if density is None or len(density.dwells) < LEAST_LOUD:
-        return Detectable(None, "mg", "extra", f"needs {LEAST_LOUD} dwells long enough for a spectrum")
-    dwells = len(density.dwells)
-    p = FOUND_WITHIN / SEARCHES / (2 * TESTS * samples.axes * (dwells - 1))
-    worst = 0.0
-    for axis in range(samples.axes):
-        own = levels_of(samples, density, axis)
-        half = float(own.dof.sum()) / 2
-        ratio = float(special.fdtri(half, half, 1 - p) / special.fdtri(half, half, 1 - _POWER))
-        # The added noise scatters too, according to its degrees of freedom.
-        chance = math.sqrt(float(special.polygamma(1, np.median(own.level_dof) / 2)) * 4 / dwells)
-        away = _noncentral(p, dwells - 2) * max(step_of(own.course, own.level_dof, dwells // 2)[1], chance)
-        quiet = float(np.median(own.level)) * density.base[density.searched, axis]
-        seen = (own.common * (ratio - 1), _joining(quiet, away))
-        worst = max(worst, math.sqrt(min(seen)))
-    return Detectable(worst, "mg", "extra")
-
-
-def _joining(quiet: Floats, away: float) -> float:
-    """Return the variance in mg² of white noise that raises the level of half of the dwells by `away` nats.
-
-    `quiet` (points,) is the spectral density without the added noise. The level of a dwell is its mean
-    power in units of the density of all dwells, which the added noise changes too. The result is infinite
-    if no variance raises the level so much.
-    """
-    middle = len(quiet) // 2, (len(quiet) - 1) // 2
-
-    def median(values: Floats) -> float:
-        # Of a thousand points, without the checks for NaN and empty arrays that take np.median longer.
-        found = np.partition(values, middle)
-        return float(found[middle[0]] + found[middle[1]]) / 2
-
-    def missing(log_variance: float) -> float:
-        loud = quiet + math.exp(log_variance)
-        base = quiet
-        for _ in range(8):
-            base = (quiet / median(quiet / base) + loud / median(loud / base)) / 2
-        return float(np.log(np.mean(loud / base) / np.mean(quiet / base))) - away
-
-    low, high = float(np.log(quiet.min())) - 20, float(np.log(quiet.max())) + 50
-    return math.exp(optimize.brentq(missing, low, high, xtol=1e-3)) if missing(high) > 0 else math.inf
-
-
-def _settling(samples: Samples) -> Detectable:
-    """Return the smallest amplitude of a settling, common to all dwells, that the search would have found.
-
-    The time constant is the middle of the searched grid; the limit comes from the t-test over the dwells.
-    """
-    usable = samples.counts >= LEAST_SAMPLES
-    constants = [tau for tau in grid(samples, usable) if tau is not None] if usable.any() else []
-    dwells = int(usable.sum())
-    if dwells < LEAST_DWELLS or not constants:
-        return Detectable(
-            None, "mg", "settling", f"needs {LEAST_DWELLS} dwells of {LEAST_SAMPLES} samples or more"
-        )
-    course = Course.of(samples, usable, constants[len(constants) // 2], by_move=False)
-    tests = (len(constants) + 1) * 2 * samples.axes
-    # Size in units of its u that exceeds the two-sided limit with a probability of 90 %.
-    p = FOUND_WITHIN / SEARCHES / tests / 2
-    size = -float(special.stdtrit(dwells - 1, p) + special.stdtrit(dwells - 1, 1 - _POWER))
-    return Detectable(float(np.sqrt((course.noise / course.energy).max())) * size, "mg", "settling")
-
-
-def _noncentral(p: float, dof: int) -> float:
-    """Return the true value, in standard uncertainties, that a t-test detects with 90 % probability.
-
-    The test is one-sided, at significance level `p`. `dof` are the degrees of freedom of the test.
-    """
-    limit = -float(special.stdtrit(dof, p))
-
-    def missing(size: float) -> float:
-        # Far beyond the limit the function returns NaN instead of 0.
-        return 1 - float(np.nan_to_num(special.nctdtr(dof, size, limit))) - _POWER
-
-    return float(optimize.brentq(missing, 0.0, 10 * limit + 50, xtol=1e-6))

@@ -58,10 +58,18 @@ from scipy import fft, ndimage, optimize, special
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.numbers import format_number, join_words
-from adis_gonio.base.uncertainty import FOUND_WITHIN, Value
+from adis_gonio.base.uncertainty import FOUND_WITHIN, Detectable, Value
 from adis_gonio.device.sensor.settings import filter_weights
 from adis_gonio.model.effects import effect
-from adis_gonio.tracing.within.samples import Samples, View, WithinFinding, corrected, positions_text
+from adis_gonio.tracing.within.samples import (
+    POWER,
+    SEARCHES,
+    Samples,
+    View,
+    WithinFinding,
+    corrected,
+    positions_text,
+)
 
 HIGHEST_HZ = effect("tone", ("x",)).parameters[1].high
 """Highest frequency in Hz that is considered: the bound of the catalogue's `tone`."""
@@ -343,6 +351,9 @@ LINE_WIDTH = 2.0
 _STEEP = 1.5
 """Distance within which the largest value of the fitted shape is used.
 It is the number of independent values of the spectrum on each side."""
+_TAPERED = 2 / 3 * 0.95
+"""Loss of a tone's power by Hann's taper, (Σw)²/(n Σw²), and between two frequencies of the grid."""
+_LARGEST = 1e6
 TAPER_LOSS = 1.944
 """Factor n Σw⁴ / (Σw²)² of Hann's taper, by which it reduces the degrees of freedom."""
 _WIDTHS = (6, 16, 40)
@@ -894,3 +905,34 @@ def _finding(line: MovingLine, alike: Sequence[MovingLine], samples: Samples) ->
             f"Frequency of a spectral line of {join_words(letters)} in each dwell.",
         ),
     )
+
+
+def smallest_tone(samples: Samples, density: Density | None) -> Detectable:
+    """Return the smallest amplitude of a sine in all dwells that the search would have found.
+
+    The limit comes from the F-test of the spectrum pooled over the dwells. `density` is the noise density
+    of the dwells; with None (dwells too short) the result gives this reason.
+
+    An amplitude A adds c A² n/4S to an ordinate of n samples, with density S and loss c by the taper, so
+    that the sum of d ordinates is half a noncentral χ² variable with 2d degrees of freedom.
+    """
+    if density is None or not density.relative.size:
+        return Detectable(None, "mg", "tone", "the dwells are too short for a spectrum")
+    searched = density.searched
+    dwells, points, axes = density.relative.shape
+    p = FOUND_WITHIN / SEARCHES / (2.0 * points * axes)
+    counts = float(np.median(samples.counts[density.dwells]))
+    worst = 0.0
+    for axis in range(axes):
+        effective = float(density.effective[axis])
+        freedom = 2 * effective * float(np.median(density.width[searched])) / TAPER_LOSS
+        height = float(special.fdtri(2 * effective, freedom, 1 - p))
+
+        def missing(excess: float, height: float = height) -> float:
+            power = 1 - special.chndtr(2 * dwells * height, 2 * dwells, 2 * dwells * excess)
+            return float(power) - POWER
+
+        excess = float(optimize.brentq(missing, 1e-6, _LARGEST, xtol=1e-6))
+        noise = float(np.median(density.level[:, axis])) * float(np.median(density.bound[searched, axis]))
+        worst = max(worst, float(np.sqrt(4 * noise * excess / (_TAPERED * counts))))
+    return Detectable(worst, "mg", "tone")
