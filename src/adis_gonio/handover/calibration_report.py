@@ -41,7 +41,7 @@ from adis_gonio.tracing import trace_summary as words
 from adis_gonio.tracing.trace_figures import Panel, Views, views_of, what_if_panels
 from adis_gonio.tracing.trace_result import TraceResult
 from adis_gonio.tracing.traced_answer import answer_with_trace
-from adis_gonio.tracing.what_if import bought_by_terms, next_term
+from adis_gonio.tracing.what_if import next_term
 
 _COVARIATES = {
     "angle": "declared angle / °",
@@ -363,7 +363,7 @@ def steps_section(traced: TraceResult, views: Views) -> Section:
     """
     parts = []
     for number_, (step, view) in enumerate(zip(traced.steps, views.steps, strict=True), 1):
-        figures = [_panel_figure(panel, step.effect, "before") for panel in view.panels]
+        figures = [_panel_figure(panel, step.effect, "before") for panel in view]
         if figures:
             parts.append(Section(f"Step {number_}: {step.effect}", figures=figures))
     bars = ["Bars are standard uncertainties of a reading; they are left out if it is not known."]
@@ -411,14 +411,12 @@ def what_if_section(traced: TraceResult) -> list[Section]:
     return [Section(words.asked(traced.what_if), points=points, tables=[table], figures=figures)]
 
 
-def further_terms_section(session: Session, traced: TraceResult) -> Section:
+def further_terms_section(traced: TraceResult) -> Section:
     """Return the section on the gain by each further term of the model: evidence and held-out error.
 
     It has a sentence, a table and two figures.
     """
-    if traced.fold is None:
-        return Section("What each further term buys")
-    bought = bought_by_terms(traced.by_terms(), traced.fold, readings_of(session).checking)
+    bought = traced.bought()
     if not bought:
         return Section("What each further term buys")
     unit = traced.before.unit
@@ -670,7 +668,7 @@ def build_page(
     if result is not None:
         shown = result.views or views_of(readings_of(session), result)
         body += [*what_if_section(result), found_section(result), errors_section(result)]
-        body += [further_terms_section(session, result), steps_section(result, shown)]
+        body += [further_terms_section(result), steps_section(result, shown)]
         body += [residual_section(shown), within_section(result)]
         body += [rivals_section(result), sight_section(result)]
         body += [Section("What to measure next", points=words.advice(result))]

@@ -36,7 +36,7 @@ from adis_gonio.model.effects.sensor_terms import REFERENCE_C
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing.findings import shares
 from adis_gonio.tracing.thresholds import limits
-from adis_gonio.tracing.trace_figures import Panel, StepView, Views
+from adis_gonio.tracing.trace_figures import Panel, Views
 from adis_gonio.tracing.trace_result import ErrorFigures, Finding, Step, TraceResult
 
 BLOCKS = 10
@@ -459,7 +459,6 @@ def _views(problem: _Problem, model: Model) -> Views:
     for k, one in enumerate(model):
         name = one.effect.shown_over or (*one.effect.covariates, "time")[0]
         lag = problem.once(_folds, model)[1][0][k].columns[:, 0]
-        shown = panels(name, covariates.get(name, lag), residuals[k], residuals[k + 1])
-        steps.append(StepView(one.effect.name, shown))
+        steps.append(panels(name, covariates.get(name, lag), residuals[k], residuals[k + 1]))
     left = (panels(name, covariates[name], residuals[0], residuals[-1]) for name in ("time", "temperature"))
     return Views(tuple(steps), tuple(itertools.chain(*left)))

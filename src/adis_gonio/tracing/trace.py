@@ -78,7 +78,7 @@ from adis_gonio.tracing.validation import (
     reject_unchecked,
     without_folds,
 )
-from adis_gonio.tracing.what_if import FREE, AskedModel, best_by_terms, compare
+from adis_gonio.tracing.what_if import FREE, AskedModel, bought_by_terms, compare
 
 UNCHECKED = "the time limit ended the trace before this was checked"
 """Reason that the result gives for each term of a model that was not validated."""
@@ -454,8 +454,7 @@ class TraceRun:
             advice=advice,
             measurements=measurements,
             base={**base_of(final), **zeros},
-            by_terms=partial(best_by_terms, selection, tuple(self.fits)),
-            fold=self.fold,
+            bought=partial(bought_by_terms, selection, self.fits, self.fold, self.checking),
             reasons=self.reasons,
             notes=tuple(self.notes),
         )

@@ -58,34 +58,18 @@ class Panel:
 
 
 @dataclass(frozen=True)
-class StepView:
-    """Panels of one added effect: the residual without and with it.
-
-    Attributes
-    ----------
-    effect : str
-        Name of the effect.
-    panels : tuple of Panel
-        Empty if the effect's term is unknown.
-    """
-
-    effect: str
-    panels: tuple[Panel, ...]
-
-
-@dataclass(frozen=True)
 class Views:
     """Data of all residual figures of a trace.
 
     Attributes
     ----------
-    steps : tuple of StepView
-        Residuals before and after each added effect.
+    steps : tuple of tuple of Panel
+        Residuals before and after each added effect; empty for an effect whose term is unknown.
     left : tuple of Panel
         Residuals of the final model (`after`) and of the base model (`before`).
     """
 
-    steps: tuple[StepView, ...]
+    steps: tuple[tuple[Panel, ...], ...]
     left: tuple[Panel, ...]
 
 
@@ -99,10 +83,10 @@ def views_of(readings: Readings, result: TraceResult) -> Views:
     """
     checking, chain = readings.checking, result.fits
     steps = []
-    for (before, after), step in zip(itertools.pairwise(chain), result.steps, strict=True):
+    for before, after in itertools.pairwise(chain):
         inside = {term.label for term in before.terms}
         fresh = [term for term in after.terms if term.label not in inside] or after.terms
-        steps.append(StepView(step.effect, _panels(checking, fresh[-1], before, after)))
+        steps.append(_panels(checking, fresh[-1], before, after))
     return Views(tuple(steps), _left(checking, result))
 
 

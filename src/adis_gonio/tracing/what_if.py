@@ -370,26 +370,6 @@ _TRIED = 50
 
 
 @dataclass(frozen=True)
-class Scored:
-    """The best model of one number of terms, by the search.
-
-    Attributes
-    ----------
-    fit : Fit
-        Fit of the model if the trace has made one; otherwise the model with its amplitudes in the linear
-        problem.
-    log_evidence : float
-        Log evidence relative to the base model, in nats.
-    chosen : bool
-        True for the model that the search chose.
-    """
-
-    fit: Fit
-    log_evidence: float
-    chosen: bool
-
-
-@dataclass(frozen=True)
 class Bought:
     """The best model of one number of terms, with its held-out error.
 
@@ -417,8 +397,11 @@ class Bought:
     chosen: bool
 
 
-def best_by_terms(selection: Selection, nested: Sequence[Fit]) -> tuple[Scored, ...]:
+def best_by_terms(selection: Selection, nested: Sequence[Fit]) -> list[tuple[Fit, float]]:
     """Return the best scored model of each number of terms; the chosen model is the best of its number.
+
+    Each has its log evidence relative to the base model, in nats. A model that the trace has not fitted has
+    its amplitudes in the linear problem.
 
     A model with more terms than the chosen one counts only if it predicts other readings. For example, two
     terms for one axis each predict nothing new if the chosen model has one term for both axes. `nested` are
@@ -431,7 +414,7 @@ def best_by_terms(selection: Selection, nested: Sequence[Fit]) -> tuple[Scored, 
             by_size[len(model)].append(model)
     by_size[len(chosen)] = [chosen]
     made = {frozenset(term.label for term in fit.terms): fit for fit in nested}
-    out: list[Scored] = []
+    out: list[tuple[Fit, float]] = []
     explained = -np.inf
     for size in sorted(by_size):
         for model in heapq.nlargest(_TRIED, by_size[size], key=lambda m: found.scores.get(m, 0.0)):
@@ -443,20 +426,23 @@ def best_by_terms(selection: Selection, nested: Sequence[Fit]) -> tuple[Scored, 
                 begun = selection.base.with_terms(terms, [term.start(own) for term, own in values])
                 fit = made.get(frozenset(term.label for term in terms), begun)
                 evidence = half - float(found.prices[list(model)].sum())
-                out.append(Scored(fit, evidence, model == chosen))
+                out.append((fit, evidence))
                 break
-    return tuple(out)
+    return out
 
 
 def bought_by_terms(
-    models: Sequence[Scored], fold: Fold, checking: Readings | None = None
-) -> tuple[Bought, ...]:
+    selection: Selection, nested: Sequence[Fit], fold: Fold, checking: Readings | None = None
+) -> list[Bought]:
     """Return the held-out errors of the best models of each number of terms; empty if no dwell is held out.
 
-    `fold` has the residuals that the trace has computed in its folds. `checking` are the check dwells,
-    which are then the held-out dwells. A dwell counts if the chosen model is determined without it.
+    `nested` are the fits of the trace; `fold` has the residuals that it has computed in its folds.
+    `checking` are the check dwells, which are then the held-out dwells. A dwell counts if the chosen model
+    is determined without it.
     """
-    fits = [one.fit if one.fit in fold else one.fit.refit() for one in models]
+    models = best_by_terms(selection, nested)
+    fits = [fit if fit in fold else fit.refit() for fit, _ in models]
+    is_chosen = [len(fit.terms) == len(selection.terms) for fit in fits]
     data = fits[0].data
     # The terms of a fit are kept, and their values are fitted again without the held-out dwells.
     if checking is not None:
@@ -464,34 +450,34 @@ def bought_by_terms(
     elif leaves_too_few(fits[-1]):
         left_out = leave_each_out(fits)[0]
     else:
-        chosen = [one.chosen for one in models].index(True)
+        chosen = is_chosen.index(True)
         left_out = held_out_alike([(fold, data, fit) for fit in fits], fits[chosen].terms, [chosen])[0]
     squares = [
         np.concatenate([(part.residual**2).sum(axis=1) for part in parts]) if parts else np.zeros(0)
         for parts in left_out
     ]
     if not squares[0].size:
-        return ()
+        return []
     each = data.axes if data.by_axis else 1
     errors = [float(np.sqrt(own.mean() / each)) for own in squares]
     out: list[Bought] = []
-    for k, model in enumerate(models):
+    for k, (_, evidence) in enumerate(models):
         before = max(k - 1, 0)
         # Change of the root mean square by each dwell: a paired difference of two models, to first order.
         per_dwell = (squares[before] / errors[before] - squares[k] / errors[k]) / (2 * each)
-        fewer = [one for one in out if one.log_evidence >= model.log_evidence]
+        fewer = [one for one in out if one.log_evidence >= evidence]
         out.append(
             Bought(
                 tuple(term.label for term in fits[k].terms),
-                model.log_evidence,
+                evidence,
                 errors[k],
                 errors[before] - errors[k],
                 float(per_dwell.std(ddof=1) / np.sqrt(len(per_dwell))) if len(per_dwell) > 1 else np.inf,
                 not any(one.heldout_rms <= errors[k] for one in fewer),
-                model.chosen,
+                is_chosen[k],
             )
         )
-    return tuple(out)
+    return out
 
 
 def next_term(bought: Sequence[Bought], unit: str) -> str:
