@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import BusTimeoutError
-from adis_gonio.bench.guards import Judge, PriorKnowledge
 from adis_gonio.bench.runner import SessionRunner
-from adis_gonio.bench.session_state import LiveView
 from adis_gonio.calibrate import Calibration, Coefficient
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.device.sensor import open_sensor
@@ -131,34 +129,6 @@ def test_a_sensor_without_gyros_has_no_smoothed_angle():
         time_s = np.arange(82 * k, 82 * (k + 1)) / 819.2
         meter.feed(ValueBlock(("ax", "ay", "az"), np.full((82, 3), 500.0), time_s))
     assert meter.reading(5.0) is None
-
-
-# -- the bench screen ------------------------------------------------------------------------------------
-
-
-def test_the_bench_screens_angle_has_no_shaking():
-    rng = np.random.default_rng(3)
-    view = LiveView()
-    view.judge = Judge(PriorKnowledge(10.0, 0.5, 0.02), planar=True, sense=1, longest_gap_s=0.3)
-    view.smoother = SmoothedMeter(sensing_of(RATE, "adis16354", 2.0), lag_s=0.0)
-    plain, smooth = [], []
-    for k in range(60):
-        time_s = np.arange(102 * k, 102 * (k + 1)) / 819.2
-        turn = np.radians(30 + 20 * np.clip(time_s - 4, 0, None))
-        shake = 40 * np.sin(2 * np.pi * 4.3 * time_s + 1) * (time_s > 4)
-        accel = 1000 * np.stack([np.cos(turn), -np.sin(turn), 0 * turn], axis=1)
-        accel += shake[:, None] + 2 * rng.standard_normal(accel.shape)
-        gyro = 0.25 * rng.standard_normal(accel.shape)
-        gyro[:, 2] += 20.0 * (time_s > 4)
-        view.see(ValueBlock(NAMES, np.hstack([accel, gyro]), time_s))
-        true_deg = math.degrees(turn[-1])
-        if time_s[0] > 5:
-            mean = accel.mean(axis=0)
-            smooth.append(view.angle_deg(mean, true_deg)[0] - true_deg)
-            plain.append(view.judge.angle_deg(mean) - true_deg)
-    # A filter's step, its neighbour and the chip's delay behind a part that turns: 0.04 s of 20 °/s.
-    assert np.std(smooth) < 0.3 * np.std(plain)
-    assert abs(np.mean(smooth)) < abs(np.mean(plain))
 
 
 # -- with the gyros calibrated ---------------------------------------------------------------------------

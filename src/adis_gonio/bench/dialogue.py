@@ -217,7 +217,7 @@ class Questions:
         if self.ledger.last_place is not None and not isinstance(question, GuardRaised):
             answers = answers | {Reply.REPEAT, Reply.UNDO}
         newest: Floats | None = None
-        view, self._scanned = self.knowledge.view, []
+        knowledge, self._scanned = self.knowledge, []
         try:
             while not self.stopped:
                 self._operator.open_question(frozenset(answers))
@@ -229,9 +229,9 @@ class Questions:
                         return default
                     yield from self.remarks(place)
                     newest = self._look(newest)
-                    target_deg = None if view.target is None else view.target.angle_deg
+                    target_deg = None if knowledge.target is None else knowledge.target.angle_deg
                     mean, spread = newest.mean(axis=0), newest.std(axis=0, ddof=1)
-                    yield view.watching("idle", mean, spread, target_deg, "an answer")
+                    yield knowledge.watching("idle", mean, spread, target_deg, "an answer")
                 newest = None
                 yield from self.handle_pause(place)
             return Reply.STOP

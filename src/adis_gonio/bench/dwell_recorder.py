@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
@@ -93,9 +92,6 @@ class Recording:
     settings_lost: str = ""
     _blocks: list[Block] = field(default_factory=list)
     _times: Floats = field(default_factory=lambda: np.empty(0))
-    # Number of samples up to the end of each block, and of scans lost up to there.
-    _ends: list[int] = field(default_factory=lambda: [0])
-    _lost: list[int] = field(default_factory=lambda: [0])
     _still_s: float | None = None
     _begin_s: float = 0.0
     _stop: int | None = None
@@ -120,11 +116,7 @@ class Recording:
     @property
     def lost(self) -> int:
         """Number of scans lost within the dwell, in all blocks with a sample of the dwell."""
-        if self.begin is None or not self.samples:
-            return 0
-        first = bisect_right(self._ends, self.begin) - 1
-        last = bisect_left(self._ends, self.begin + self.samples)
-        return self._lost[last] - self._lost[first]
+        return sum(block.lost for phase, block in self._pieces() if phase == "dwell")
 
     @property
     def waited_s(self) -> float:
@@ -142,8 +134,6 @@ class Recording:
             return
         self._blocks.append(block)
         self._times = np.concatenate([self._times, block.time_s])
-        self._ends.append(len(self._times))
-        self._lost.append(self._lost[-1] + block.lost)
         if self.begun and self._stop is None:
             self._find_stop()
 
@@ -201,7 +191,7 @@ class Recording:
     @property
     def _count(self) -> int:
         """Number of samples of the attempt so far."""
-        return self._ends[-1]
+        return len(self._times)
 
     def _find_stop(self) -> None:
         # Half a period early, so that rounding of times cannot add or drop a sample.
@@ -407,11 +397,11 @@ class DwellRecorder(Recorder):
 
     def _look_event(self, recording: Recording, look: Look) -> Watching | DwellProgress:
         """Return the event that shows the newest window, before the dwell or during it."""
-        view, target_deg = self._knowledge.view, recording.position.angle_deg
+        knowledge, target_deg = self._knowledge, recording.position.angle_deg
         if not recording.begun:
             waits_for = "the part to settle" if recording.is_still else f"rest: {recording.why_moving}"
             state: Literal["settling", "moving"] = "settling" if recording.is_still else "moving"
-            return view.watching(state, look.mean_mg, look.spread_mg, target_deg, waits_for)
+            return knowledge.watching(state, look.mean_mg, look.spread_mg, target_deg, waits_for)
         return DwellProgress(
             recording.place,
             recording.elapsed_s,
@@ -420,11 +410,11 @@ class DwellRecorder(Recorder):
             recording.lost,
             vector(look.mean_mg),
             vector(look.spread_mg),
-            view.angle_deg(look.mean_mg, target_deg)[0],
+            knowledge.angle_deg(look.mean_mg, target_deg)[0],
             target_deg,
-            view.limit_mg,
+            knowledge.limit_mg,
             "the dwell to end",
-            view.temperature_c,
+            knowledge.temperature_c,
         )
 
     def _disturbance(self, recording: Recording, look: Look) -> _Broken | None:

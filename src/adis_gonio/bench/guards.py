@@ -24,7 +24,6 @@ from adis_gonio.record.plans import (
     GAIN_LIMIT,
     Expectation,
     K,
-    Off,
     Position,
     PriorKnowledge,
     turned_deg,
@@ -77,70 +76,6 @@ class Guard:
         return self.kind in ("not_moved", "reversed", "wrong_axis", "wrong_angle")
 
 
-def judge_turn(
-    *,
-    asked_deg: float,
-    here_deg: float,
-    gravity_deg: float,
-    off: Off,
-    off_reversed: Off | None,
-    turn: GyroIntegral | None,
-    sense: int,
-) -> Guard | None:
-    """Check that the sensor was turned in the plane as requested; return None if it was.
-
-    Parameters
-    ----------
-    asked_deg, here_deg : float
-        Requested turn since the dwell before, and requested stage angle.
-    gravity_deg : float
-        Turn by gravity since the dwell before, within ±180°.
-    off, off_reversed : Off
-        Deviations of the angle by gravity from the requested angle, with the sense of the session and with
-        the opposite sense; the latter is None if a dwell excludes the opposite sense.
-    turn : GyroIntegral or None
-        Turn measured by the gyros since the dwell before; None if it was not followed.
-    sense : {1, -1}
-        −1 in a reversed session (the stage counts angles the other way than the plan).
-    """
-    if off.allowed:
-        return None
-    values = {
-        "asked_deg": asked_deg,
-        "gravity_deg": gravity_deg,
-        "off_deg": off.off_deg,
-        "limit_deg": off.limit_deg,
-    }
-    wanted = f"{signed(asked_deg)}°"
-    seen = f"{signed(gravity_deg, 2)}° by gravity"
-    if turn is not None:
-        along = sense * float(turn.angle_deg[2])
-        values |= {"gyro_deg": along, "gyro_u_deg": turn.u_deg}
-        seen += f", {format_uncertain(along, NORMAL_95 * turn.u_deg, 'deg', sign=True)} by the gyro"
-        if (about := _other_axis(turn)) is not None:
-            x, y, z = (float(angle) for angle in turn.angle_deg)
-            values |= {"gyro_x_deg": x, "gyro_y_deg": y, "gyro_z_deg": z}
-            message = (
-                f"turned about {about} (x {signed(x, 1)}°, y {signed(y, 1)}°,"
-                f" z {signed(z, 1)}° by the gyros); {wanted} about z was requested"
-            )
-            return Guard("wrong_axis", message, values, spoils=True)
-    if abs(gravity_deg) <= math.degrees(SHIFT_MG / 1000.0):
-        message = f"the part has not moved: {seen}; {wanted} was requested"
-        return Guard("not_moved", message, values, spoils=True)
-    if abs(wrap_degrees(gravity_deg + asked_deg)) <= off.limit_deg:
-        message, answers = f"turned the wrong way: {seen}; {wanted} was requested", RETAKE
-        if off_reversed is not None and off_reversed.allowed:
-            message += "; if the stage counts the other way, reverse the whole session"
-            answers = ("retake", "reverse", "keep", "skip")
-        return Guard("reversed", message, values, answers, spoils=True)
-    message = (
-        f"{signed(off.off_deg, 2)}° off {here_deg:g}° ({seen}, {wanted} requested);"
-        f" part and fixture explain {off.limit_deg:.2f}° at most"
-    )
-    return Guard("wrong_angle", message, values, spoils=True)
-
-
 def _other_axis(turn: GyroIntegral) -> str | None:
     """Return the axis of the largest turn; None if it is z or within the gyros' uncertainty."""
     size = np.abs(turn.angle_deg)
@@ -148,45 +83,6 @@ def _other_axis(turn: GyroIntegral) -> str | None:
     if most == 2 or size[most] <= math.degrees(SHIFT_MG / 1000.0) + K * turn.u_deg:
         return None
     return AXES[most]
-
-
-def judge_level(accel_mg: Floats, gravity_mg: float, bias_mg: float) -> Guard | None:
-    """Check that the axis of rotation (the sensor's Z) is horizontal; return None if it is.
-
-    `accel_mg` is the reading (3,), `gravity_mg` local gravity, `bias_mg` the standard deviation of a bias.
-    """
-    z = float(accel_mg[2])
-    # The first part is the tilt that changes a reading as much as the gain limit.
-    limit = gravity_mg * math.sin(math.acos(1 - GAIN_LIMIT)) + K * bias_mg
-    if abs(z) <= limit:
-        return None
-    tilt = math.degrees(math.asin(min(1.0, abs(z) / gravity_mg)))
-    way = "up" if z < 0 else "down"
-    message = (
-        f"z reads {signed(z, 0)} mg: the Z arrow points {way}, {tilt:.0f}° out of the horizontal;"
-        f" it is the axis of rotation and has to be horizontal (at most {limit:.0f} mg)"
-    )
-    values = {"z_mg": z, "limit_mg": limit, "tilt_deg": tilt}
-    return Guard("wrong_axis", message, values, spoils=True)
-
-
-def judge_start(accel_mg: Floats, asked_deg: float, sense: int) -> Guard | None:
-    """Check that the sensor is placed as drawn at the first position; return None if it is.
-
-    Any start angle is allowed; a question is returned if the angle of the reading `accel_mg` (3,) is more
-    than 90° from `asked_deg`. `sense` is −1 in a reversed session.
-    """
-    x, y = float(accel_mg[0]), float(accel_mg[1])
-    angle = -sense * math.degrees(math.atan2(y, x))
-    off = wrap_degrees(angle - asked_deg)
-    if abs(off) <= 90.0:
-        return None
-    message = (
-        f"the part is upside down: {signed(off, 0)}° from the drawing by gravity"
-        f" (x {signed(x, 0)}, y {signed(y, 0)} mg); any start angle is allowed,"
-        " so it may stay if the stage shows the requested angle"
-    )
-    return Guard("upside_down", message, {"off_deg": off, "x_mg": x, "y_mg": y}, default="keep")
 
 
 def judge_pose(
@@ -451,22 +347,89 @@ class Judge:
             if self._taken:
                 mean_mg, asked = self._taken[-1].mean_mg, self._taken[-1].position.direction
             return judge_pose(accel_mg, position.direction, mean_mg, asked)
-        level = judge_level(accel_mg, self._spread.gravity_mg, self._spread.bias_mg)
-        if level is not None:
-            return level
-        if not self._expected.begun:
-            return judge_start(accel_mg, position.angle_deg, self.sense)
-        before = self._taken[-1]
-        reversed_off = self._other.off(accel_mg, position.angle_deg) if self._may_be_reversed else None
-        return judge_turn(
-            asked_deg=self._asked_deg(position),
-            here_deg=position.angle_deg,
-            gravity_deg=turned_deg(before.mean_mg, accel_mg, self.sense),
-            off=self._expected.off(accel_mg, position.angle_deg),
-            off_reversed=reversed_off,
-            turn=self.turning.turn(),
-            sense=self.sense,
+        guard = self._judge_level(accel_mg)
+        if guard is None and self._expected.begun:
+            return self._judge_turn(position, position.angle_deg, accel_mg)
+        return guard or self._judge_start(position.angle_deg, accel_mg)
+
+    def _judge_level(self, accel_mg: Floats) -> Guard | None:
+        """Check that the axis of rotation (the sensor's Z) is horizontal; return None if it is."""
+        z, gravity_mg = float(accel_mg[2]), self._spread.gravity_mg
+        # The first part is the tilt that changes a reading as much as the gain limit.
+        limit = gravity_mg * math.sin(math.acos(1 - GAIN_LIMIT)) + K * self._spread.bias_mg
+        if abs(z) <= limit:
+            return None
+        tilt = math.degrees(math.asin(min(1.0, abs(z) / gravity_mg)))
+        way = "up" if z < 0 else "down"
+        message = (
+            f"z reads {signed(z, 0)} mg: the Z arrow points {way}, {tilt:.0f}° out of the horizontal;"
+            f" it is the axis of rotation and has to be horizontal (at most {limit:.0f} mg)"
         )
+        values = {"z_mg": z, "limit_mg": limit, "tilt_deg": tilt}
+        return Guard("wrong_axis", message, values, spoils=True)
+
+    def _judge_start(self, asked_deg: float, accel_mg: Floats) -> Guard | None:
+        """Check that the sensor is placed as drawn at the first position; return None if it is.
+
+        Any start angle is allowed; a question is returned if the angle of the reading is more than 90° from
+        the requested angle.
+        """
+        x, y = float(accel_mg[0]), float(accel_mg[1])
+        off = wrap_degrees(-self.sense * math.degrees(math.atan2(y, x)) - asked_deg)
+        if abs(off) <= 90.0:
+            return None
+        message = (
+            f"the part is upside down: {signed(off, 0)}° from the drawing by gravity"
+            f" (x {signed(x, 0)}, y {signed(y, 0)} mg); any start angle is allowed,"
+            " so it may stay if the stage shows the requested angle"
+        )
+        return Guard("upside_down", message, {"off_deg": off, "x_mg": x, "y_mg": y}, default="keep")
+
+    def _judge_turn(self, position: Position, here_deg: float, accel_mg: Floats) -> Guard | None:
+        """Check that the sensor was turned in the plane as requested; return None if it was.
+
+        `here_deg` is the angle of the position.
+        """
+        off, turn = self._expected.off(accel_mg, here_deg), self.turning.turn()
+        if off.allowed:
+            return None
+        asked_deg = self._asked_deg(position)
+        gravity_deg = turned_deg(self._taken[-1].mean_mg, accel_mg, self.sense)
+        values = {
+            "asked_deg": asked_deg,
+            "gravity_deg": gravity_deg,
+            "off_deg": off.off_deg,
+            "limit_deg": off.limit_deg,
+        }
+        wanted = f"{signed(asked_deg)}°"
+        seen = f"{signed(gravity_deg, 2)}° by gravity"
+        if turn is not None:
+            along = self.sense * float(turn.angle_deg[2])
+            values |= {"gyro_deg": along, "gyro_u_deg": turn.u_deg}
+            seen += f", {format_uncertain(along, NORMAL_95 * turn.u_deg, 'deg', sign=True)} by the gyro"
+            if (about := _other_axis(turn)) is not None:
+                x, y, z = (float(angle) for angle in turn.angle_deg)
+                values |= {"gyro_x_deg": x, "gyro_y_deg": y, "gyro_z_deg": z}
+                message = (
+                    f"turned about {about} (x {signed(x, 1)}°, y {signed(y, 1)}°,"
+                    f" z {signed(z, 1)}° by the gyros); {wanted} about z was requested"
+                )
+                return Guard("wrong_axis", message, values, spoils=True)
+        if abs(gravity_deg) <= math.degrees(SHIFT_MG / 1000.0):
+            message = f"the part has not moved: {seen}; {wanted} was requested"
+            return Guard("not_moved", message, values, spoils=True)
+        if abs(wrap_degrees(gravity_deg + asked_deg)) <= off.limit_deg:
+            message, answers = f"turned the wrong way: {seen}; {wanted} was requested", RETAKE
+            # No dwell excludes that the stage counts the other way.
+            if self._may_be_reversed and self._other.off(accel_mg, here_deg).allowed:
+                message += "; if the stage counts the other way, reverse the whole session"
+                answers = ("retake", "reverse", "keep", "skip")
+            return Guard("reversed", message, values, answers, spoils=True)
+        message = (
+            f"{signed(off.off_deg, 2)}° off {here_deg:g}° ({seen}, {wanted} requested);"
+            f" part and fixture explain {off.limit_deg:.2f}° at most"
+        )
+        return Guard("wrong_angle", message, values, spoils=True)
 
     def turned(self, place: int, position: Position, accel_mg: Floats) -> TurnMeasured | None:
         """Return the turn from the last dwell to the present position; None before the first dwell.

@@ -365,7 +365,7 @@ class SessionRunner(Operator):
             ledger.last_place is not None,
             self._time_left_s(),
         )
-        self._knowledge.view.target = position
+        self._knowledge.target = position
         return (yield from self._questions.ask(asked, {Reply.CONFIRM, Reply.SKIP}, Reply.CONFIRM, place))
 
     def _time_left_s(self) -> float:
@@ -500,9 +500,7 @@ def _meter_noise(questions: Questions) -> Generator[Event, None, Floats | None]:
     for block in bench.scans():
         noise = meter.feed(block.accel_mg)
         knowledge.see(block)
-        yield knowledge.view.watching(
-            "measuring", meter.mean_mg, meter.spread_mg, None, "the part to be still"
-        )
+        yield knowledge.watching("measuring", meter.mean_mg, meter.spread_mg, None, "the part to be still")
         if noise is not None or questions.interrupted:
             return noise
         if bench.now_s > deadline:

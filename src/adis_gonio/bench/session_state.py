@@ -13,7 +13,6 @@ from adis_gonio.base.errors import AdisGonioError, UsageError
 from adis_gonio.bench.events import NoiseMeasured, Problem, Running, Vector, Watching, Withdrawn
 from adis_gonio.bench.guards import Judge, Turning
 from adis_gonio.bench.session_bench import SessionBench
-from adis_gonio.live.smoothed_meter import SmoothedMeter, sensing_of
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.record.archive import Archive
 from adis_gonio.record.blocks import Block, join, session_columns
@@ -123,100 +122,6 @@ class Ledger:
         return max(self.done, key=self.done.__getitem__, default=None)
 
 
-class LiveView:
-    """Makes events that show the newest readings of the sensor.
-
-    Attributes
-    ----------
-    limit_mg : Vector or None
-        Standard deviation in mg below which a window is still; None before the noise is known.
-    target : Position or None
-        Requested position; None if there is none.
-    judge : Judge or None
-        Source of the angle by gravity; None before the noise is known and if positions are not judged.
-    temperature_c : float or None
-        Temperature in the newest scan; None if scans have no temperature.
-    lost : int
-        Number of scans lost since the session was opened.
-    smoother : SmoothedMeter or None
-        Smooths the angle by the gyros while the sensor turns, without a lag; None if angles are not
-        smoothed.
-    """
-
-    def __init__(self) -> None:
-        self.limit_mg: Vector | None = None
-        self.target: Position | None = None
-        self.judge: Judge | None = None
-        self.smoother: SmoothedMeter | None = None
-        self.temperature_c: float | None = None
-        self.lost = 0
-        self._seen_s = 0.0
-
-    def see(self, block: Block) -> None:
-        """Take temperature, lost scans and the smoothed angle from a block of scans."""
-        self.lost += block.lost
-        columns = session_columns(block)
-        if "temp_c" in columns and len(block):
-            self.temperature_c = float(columns["temp_c"][-1])
-        if self.smoother is not None and len(block):
-            self.smoother.feed(block)
-            self._seen_s = float(block.time_s[-1])
-
-    def angle_deg(self, accel_mg: Floats, target_deg: float | None) -> tuple[float | None, float | None]:
-        """Return the present angle in the stage's sense and its tolerance, both in degrees.
-
-        `accel_mg` (3,) is the present reading, `target_deg` the requested stage angle, None without one.
-        The angle comes from gravity and, if the sensor has gyros, also from them. It is within ±180° of the
-        target; None if attitudes are free. The tolerance is the largest deviation from the target that no
-        guard doubts; None without a target or before the first dwell.
-        """
-        if self.judge is None:
-            return None, None
-        smoothed_mg = self._smoothed_mg(accel_mg)
-        angle = self.judge.angle_deg(smoothed_mg)
-        if angle is None or target_deg is None:
-            return angle, None
-        tolerance = self.judge.tolerance_deg(smoothed_mg, target_deg)
-        return target_deg + wrap_degrees(angle - target_deg), tolerance
-
-    def _smoothed_mg(self, accel_mg: Floats) -> Floats:
-        """Return the reading `accel_mg` (3,) with its angle in the plane replaced by the smoothed angle."""
-        smoothed = None if self.smoother is None else self.smoother.reading(self._seen_s)
-        if smoothed is None:
-            return accel_mg
-        angle = math.radians(smoothed.smoothed_deg)
-        length = math.hypot(float(accel_mg[0]), float(accel_mg[1]))
-        return np.array([length * math.cos(angle), -length * math.sin(angle), float(accel_mg[2])])
-
-    def watching(
-        self,
-        state: Literal["idle", "measuring", "moving", "settling"],
-        accel_mg: Floats,
-        spread_mg: Floats,
-        target_deg: float | None,
-        waits_for: str,
-    ) -> Watching:
-        """Return the event that shows the newest readings outside a dwell.
-
-        `accel_mg` and `spread_mg` are the mean and the standard deviation of the newest window,
-        `target_deg` is the requested angle (None if there is none), and `waits_for` names what the session
-        waits for.
-        """
-        angle_deg, tolerance_deg = self.angle_deg(accel_mg, target_deg)
-        return Watching(
-            state,
-            vector(accel_mg),
-            vector(spread_mg),
-            angle_deg,
-            target_deg,
-            self.limit_mg,
-            waits_for,
-            self.temperature_c,
-            self.lost,
-            tolerance_deg,
-        )
-
-
 def vector(values: Any) -> Vector:
     """Convert three numbers to a tuple of floats."""
     x, y, z = (float(value) for value in np.asarray(values))
@@ -237,8 +142,12 @@ class Knowledge:
 
     Attributes
     ----------
-    view : LiveView
-        Source of events for a front end.
+    target : Position or None
+        Requested position; None if there is none.
+    temperature_c : float or None
+        Temperature in the newest scan; None if scans have no temperature.
+    lost : int
+        Number of scans lost since the session was opened.
     judge : Judge or None
         Judge of the positions; None before the noise is known, and if positions are not judged.
     limits : StillnessLimits or None
@@ -255,7 +164,9 @@ class Knowledge:
         self._judging = judging
         self._noise_mg: Floats = np.zeros(3)
         self._fitted = 0  # number of dwells in the last fit
-        self.view = LiveView()
+        self.target: Position | None = None
+        self.temperature_c: float | None = None
+        self.lost = 0
         self.judge: Judge | None = None
         self.limits: StillnessLimits | None = None
         self.reversed = bool(ledger.archive.last("reversed"))
@@ -270,13 +181,8 @@ class Knowledge:
         quantum = bench.source.part.step_mg
         limits = limits_from_noise(np.array(noise), bench.window, quantum)
         self.limits = limits
-        self.view.limit_mg = vector(limits.upper)
         self._noise_mg = np.maximum(noise, quantum / math.sqrt(12))
-        largest_mg = float(self._noise_mg.max())
-        self.judge = self.view.judge = self._new_judge(largest_mg)
-        if self.judge is not None and not bench.virtual_time:  # with virtual time, no part is seen turning
-            sensing = sensing_of(bench.configuration, bench.source.part.name, largest_mg)
-            self.view.smoother = SmoothedMeter(sensing, lag_s=0.0)
+        self.judge = self._new_judge(float(self._noise_mg.max()))
         return NoiseMeasured(vector(noise))
 
     def _new_judge(self, noise_mg: float) -> Judge | None:
@@ -318,10 +224,61 @@ class Knowledge:
         return StillnessWatch(self.limits, self._noise_mg)
 
     def see(self, block: Block) -> None:
-        """Take a block of scans into account: live view and turn by the gyros."""
-        self.view.see(block)
+        """Take a block of scans into account: temperature, lost scans and turn by the gyros."""
+        self.lost += block.lost
+        columns = session_columns(block)
+        if "temp_c" in columns and len(block):
+            self.temperature_c = float(columns["temp_c"][-1])
         if self.judge is not None:
             self.judge.turning.see(block)
+
+    @property
+    def limit_mg(self) -> Vector | None:
+        """Standard deviation in mg below which a window is still; None before the noise is known."""
+        return None if self.limits is None else vector(self.limits.upper)
+
+    def angle_deg(self, accel_mg: Floats, target_deg: float | None) -> tuple[float | None, float | None]:
+        """Return the present angle in the stage's sense and its tolerance, both in degrees.
+
+        `accel_mg` (3,) is the present reading, `target_deg` the requested stage angle, None without one.
+        It is within ±180° of the target; None if attitudes are free. The tolerance is the largest deviation
+        from the target that no guard doubts; None without a target or before the first dwell.
+        """
+        if self.judge is None:
+            return None, None
+        angle = self.judge.angle_deg(accel_mg)
+        if angle is None or target_deg is None:
+            return angle, None
+        tolerance = self.judge.tolerance_deg(accel_mg, target_deg)
+        return target_deg + wrap_degrees(angle - target_deg), tolerance
+
+    def watching(
+        self,
+        state: Literal["idle", "measuring", "moving", "settling"],
+        accel_mg: Floats,
+        spread_mg: Floats,
+        target_deg: float | None,
+        waits_for: str,
+    ) -> Watching:
+        """Return the event that shows the newest readings outside a dwell.
+
+        `accel_mg` and `spread_mg` are the mean and the standard deviation of the newest window,
+        `target_deg` is the requested angle (None if there is none), and `waits_for` names what the session
+        waits for.
+        """
+        angle_deg, tolerance_deg = self.angle_deg(accel_mg, target_deg)
+        return Watching(
+            state,
+            vector(accel_mg),
+            vector(spread_mg),
+            angle_deg,
+            target_deg,
+            self.limit_mg,
+            waits_for,
+            self.temperature_c,
+            self.lost,
+            tolerance_deg,
+        )
 
     def learn(self, place: int, position: Position, scans: Block, *, doubted: bool) -> None:
         """Take a complete dwell into account in the check of positions.
