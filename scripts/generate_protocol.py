@@ -146,12 +146,9 @@ def module(table: Table) -> str:
     out += [f"VERSION = {protocol['version']}", f"BAUD = {protocol['baud']:_}"]
     out.append("")
     out += [f"{name.upper()} = {packet[name]}" for name in ("header_size", "crc_size", "max_raw")]
-    out += [f"CRC_CHECK = 0x{packet['crc_check']:08X}"]
     out += [f"REPLY_BIT = 0x{packet['reply_bit']:02X}", ""]
     limits = table["limits"]
     out += [f"WRITE_BIT = 0x{limits['write_bit']:04X}", f"RETRY_MS = {limits['retry_ms']}"]
-    out.append("")
-    out += [f"DEFAULT_{name.upper()} = {value:_}" for name, value in table["defaults"].items()]
     rows = bodies(table)
     out += ["", "", "class PacketType(IntEnum):", '    """Type of a packet: its first byte."""', ""]
     out += [f"    {name.upper()} = 0x{kind:02X}" for name, kind, _, _ in rows]
@@ -165,9 +162,6 @@ def module(table: Table) -> str:
         out += ["", "", f"class {title}(IntEnum):", f'    """{text}"""', ""]
         for name, row in table[key].items():
             out += [f"    {name.upper()} = {row['code']}", f'    """{sentence(row["text"])}."""']
-    out += ["", "", "REFUSAL_TEXT = {"]
-    out += [f'    Refusal.{name.upper()}: "{row["text"]}",' for name, row in table["errors"].items()]
-    out += ["}"]
     for name, _, text, fields in rows:
         formats, names, tail = "", [], ""
         for field in fields:

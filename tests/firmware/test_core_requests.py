@@ -5,9 +5,6 @@ import pytest
 
 from adis_gonio.device.bus.wire import Body, Packet, encode
 from adis_gonio.device.bus.wire.protocol import (
-    DEFAULT_CLOCK_HZ,
-    DEFAULT_PERIOD_US,
-    DEFAULT_STALL_US,
     VERSION,
     ConfigureReply,
     ConfigureRequest,
@@ -31,7 +28,8 @@ from adis_gonio.device.bus.wire.protocol import (
 from firmware.client import Client, RefusedError
 from firmware.host_core import HostCore
 
-DEFAULT = (DEFAULT_CLOCK_HZ, DEFAULT_STALL_US, DEFAULT_PERIOD_US)
+DEFAULT = (250_000, 75, 160)
+"""Clock in Hz, stall and period in µs after a hello, as in firmware_proto/protocol.toml."""
 
 
 def words(*values: int) -> np.ndarray:

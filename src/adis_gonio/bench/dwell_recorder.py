@@ -70,7 +70,7 @@ class Recording:
     why_moving : str
         Reason why the newest window before the dwell counts as moving.
     rested_mg : (3,) float or None
-        Reading of the sensor when the dwell began; None before.
+        Reading of the sensor when its dwell first began, before a disturbance; None before.
     status, settings_lost : Status or None, str
         STATUS after the dwell, and the message of `SessionBench.settings_lost`.
     """
@@ -264,13 +264,12 @@ class DwellRecorder(Recorder):
         self._kept_kinds, self._doubts = set(), []
         if not (yield from self._go_to(recording)):
             return
-        restarts, rested_mg = 0, None
-        while (broken := (yield from self._record_or_keep(recording, rested_mg))) is not None:
+        restarts = 0
+        while (broken := (yield from self._record(recording))) is not None:
             yield self._interrupted(recording, broken.reason, guarded=broken.guard is not None)
             if self._questions.interrupted:
                 return
-            guard, restarts = broken.guard, restarts + 1
-            rested_mg = recording.rested_mg if rested_mg is None else rested_mg
+            guard, restarts, rested_mg = broken.guard, restarts + 1, recording.rested_mg
             if guard is None and (recording.timed_out or restarts == 5):
                 self._bench.close_stream()
                 guard = self._gave_up(recording, broken.reason, restarts)
@@ -284,7 +283,7 @@ class DwellRecorder(Recorder):
                 if not (yield from self._ask(guard, place)):
                     return
                 restarts, rested_mg = 0, None
-            recording = self._new_recording(place)
+            recording = self._new_recording(place, rested_mg)
         yield from self._complete(recording)
 
     def _gave_up(self, recording: Recording, reason: str, restarts: int) -> Guard | None:
@@ -323,7 +322,7 @@ class DwellRecorder(Recorder):
             return False
         return True
 
-    def _new_recording(self, place: int) -> Recording:
+    def _new_recording(self, place: int, rested_mg: Floats | None = None) -> Recording:
         bench = self._bench
         return Recording(
             place,
@@ -333,24 +332,8 @@ class DwellRecorder(Recorder):
             bench.settle_s,
             bench.period_s,
             self._questions.take_scanned(),
+            rested_mg=rested_mg,
         )
-
-    def _record_or_keep(
-        self, recording: Recording, rested_mg: Floats | None
-    ) -> Generator[Event, None, _Broken | None]:
-        """Record a dwell and check the sensor; if an error ends it, archive the scans so far.
-
-        Returns None, or the reason if the dwell was interrupted. `rested_mg` is the reading when this dwell
-        first began, before a disturbance; None at the first try.
-        """
-        try:
-            broken = yield from self._record(recording, rested_mg)
-            if broken is None:
-                self._check_sensor(recording)
-        except BaseException as error:
-            self._interrupted(recording, why_broken_off(error))
-            raise
-        return broken
 
     def _check_sensor(self, recording: Recording) -> None:
         """End the stream after a dwell, and read STATUS and the settings of the sensor."""
@@ -359,13 +342,23 @@ class DwellRecorder(Recorder):
         recording.status = self._bench.source.status()
         recording.settings_lost = self._bench.settings_lost()
 
-    def _record(
-        self, recording: Recording, rested_mg: Floats | None
-    ) -> Generator[Event, None, _Broken | None]:
-        """Wait for stillness, then record the dwell; return None, or the reason if it was interrupted.
+    def _record(self, recording: Recording) -> Generator[Event, None, _Broken | None]:
+        """Wait for stillness, record the dwell and check the sensor.
 
-        `rested_mg` is the reading when this dwell first began, before a disturbance; None at the first try.
+        If an error ends it, the scans so far are archived. Returns None, or the reason if the dwell was
+        interrupted.
         """
+        try:
+            broken = yield from self._scan(recording)
+            if broken is None:
+                self._check_sensor(recording)
+        except BaseException as error:
+            self._interrupted(recording, why_broken_off(error))
+            raise
+        return broken
+
+    def _scan(self, recording: Recording) -> Generator[Event, None, _Broken | None]:
+        """Wait for stillness, then read the dwell; return None, or the reason if it was interrupted."""
         bench, questions, knowledge = self._bench, self._questions, self._knowledge
         watch = knowledge.watch()
         patience_s = bench.settings.still_timeout_s + WINDOWS_TO_STILLNESS * bench.window * bench.period_s
@@ -379,7 +372,7 @@ class DwellRecorder(Recorder):
                     return disturbed
             if recording.try_begin() and look is not None:
                 watch.anchor(recording.begin)
-                guard = yield from self._settled(recording, look.mean_mg, rested_mg)
+                guard = yield from self._settled(recording, look.mean_mg)
                 if guard is not None:
                     return _Broken(guard.message, guard)
             if questions.interrupted:
@@ -487,17 +480,15 @@ class DwellRecorder(Recorder):
                 ledger.note("contradiction", doubt)
         return answer in (Reply.KEEP, Reply.REVERSE)
 
-    def _settled(
-        self, recording: Recording, mean_mg: Floats, rested_mg: Floats | None
-    ) -> Generator[Event, None, Guard | None]:
+    def _settled(self, recording: Recording, mean_mg: Floats) -> Generator[Event, None, Guard | None]:
         """Check the position of the sensor at rest; return the guard that doubts it, or None.
 
-        `mean_mg` is the present reading and `rested_mg` the reading when this dwell first began, before a
-        disturbance (None at the first try). Without an operator the doubt is recorded as a problem, and
-        None is returned.
+        `mean_mg` is the present reading. Without an operator the doubt is recorded as a problem, and None
+        is returned.
         """
         judge, limits, place = self._knowledge.judge, self._knowledge.limits, recording.place
-        recording.rested_mg = mean_mg
+        rested_mg = recording.rested_mg
+        recording.rested_mg = mean_mg if rested_mg is None else rested_mg
         if judge is None or limits is None:
             return None
         turned = judge.turned(place, recording.position, mean_mg)

@@ -50,14 +50,11 @@ def spectrum(values: Floats) -> tuple[Floats, Floats]:
 
     White noise of variance σ² has the mean σ² in every bin.
     """
-    n = len(values)
-    at = np.arange(n) - (n - 1) / 2
-    # Remove the mean and the linear trend, then apply Hann's window.
-    flat = values - values.mean(axis=0)
-    flat = flat - np.outer(at, at @ flat) / float(at @ at)
-    window = np.hanning(n + 1)[:-1]
-    power = np.abs(np.fft.rfft(flat * window[:, None], axis=0)) ** 2 / np.sum(window**2)
-    return np.asarray(np.fft.rfftfreq(n), np.float64), np.asarray(power, np.float64)
+    from scipy.signal import detrend, periodogram
+
+    cycles, density = periodogram(detrend(values, axis=0), window="hann", detrend=False, axis=0)
+    # The density is one-sided: twice the power of a bin.
+    return np.asarray(cycles, np.float64), np.asarray(density / 2, np.float64)
 
 
 class Noise(BringupStep):

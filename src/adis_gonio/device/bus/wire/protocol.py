@@ -16,15 +16,10 @@ BAUD = 500_000
 HEADER_SIZE = 3
 CRC_SIZE = 4
 MAX_RAW = 252
-CRC_CHECK = 0xCBF43926
 REPLY_BIT = 0x80
 
 WRITE_BIT = 0x8000
 RETRY_MS = 250
-
-DEFAULT_CLOCK_HZ = 250_000
-DEFAULT_STALL_US = 75
-DEFAULT_PERIOD_US = 160
 
 
 class PacketType(IntEnum):
@@ -93,19 +88,6 @@ class Refusal(IntEnum):
     """The id of the last request with another content."""
     PROTOCOL_VERSION = 9
     """Another protocol version; detail is the firmware's."""
-
-
-REFUSAL_TEXT = {
-    Refusal.NO_SESSION: "no hello since power-on: the firmware restarted",
-    Refusal.UNKNOWN_REQUEST: "no such request",
-    Refusal.BAD_LENGTH: "the body's length does not fit the request",
-    Refusal.BUSY: "a stream is running; stop it first",
-    Refusal.BAD_FRAME: "bit 14 set, or the write bit in a stream's list; detail is the frame's index",
-    Refusal.WRITE_COUNT: "the count of write frames does not fit the frames; detail is their number",
-    Refusal.BAD_VALUE: "a value is out of range; detail is the offset of its field",
-    Refusal.ID_REUSED: "the id of the last request with another content",
-    Refusal.PROTOCOL_VERSION: "another protocol version; detail is the firmware's",
-}
 
 
 class HelloRequest(Body, type=PacketType.HELLO_REQUEST, layout="BI"):
