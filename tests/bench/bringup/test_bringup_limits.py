@@ -6,7 +6,7 @@ from scipy import stats
 
 from adis_gonio.bench.bringup import bring_up
 from adis_gonio.bench.bringup.bringup_step import ALPHA, Z, highest_bin, variance_ratio
-from adis_gonio.bench.bringup.noise_steps import flicker, spectrum
+from adis_gonio.bench.bringup.part_steps import flicker, spectrum
 from adis_gonio.bench.bringup.update_steps import Rate, nearest_code
 from adis_gonio.device.sensor.settings import filter_response, rounding_spectrum, sample_period_s
 from adis_gonio.sim.noise import Flicker

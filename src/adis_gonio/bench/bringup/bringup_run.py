@@ -23,9 +23,15 @@ from adis_gonio.bench.bringup.bringup_step import (
     writable,
 )
 from adis_gonio.bench.bringup.link_steps import BitErrors, Health, Link, Timing, WhichPart
-from adis_gonio.bench.bringup.noise_steps import FilterSteps, Noise
+from adis_gonio.bench.bringup.part_steps import (
+    FilterSteps,
+    FlashCount,
+    Noise,
+    Offset,
+    SelfTests,
+    StatusBits,
+)
 from adis_gonio.bench.bringup.update_steps import DataReady, Rate, SamplePeriods
-from adis_gonio.bench.bringup.write_steps import FlashCount, Offset, SelfTests, StatusBits
 from adis_gonio.device.bus import SpiBus
 from adis_gonio.device.sensor.driver import Adis16354, Undo
 from adis_gonio.device.sensor.registers import NORMAL, Variant, variant as find_variant

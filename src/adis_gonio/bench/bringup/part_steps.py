@@ -1,0 +1,483 @@
+"""Bring-up steps on the part at rest: noise, filter, offsets, self-tests, STATUS and flash.
+
+All writes are undone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from adis_gonio.base.errors import ChipError
+from adis_gonio.bench.bringup.bringup_step import (
+    BringupBench,
+    BringupStep,
+    Floats,
+    Measured,
+    Outcome,
+    SideEffect,
+    StepResult,
+    Z,
+    highest_bin,
+    variance_ratio,
+)
+from adis_gonio.bench.bringup.chip_rows import BY_QUESTION
+from adis_gonio.bench.bringup.recorded_chip import RecordedChip
+from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, BY_NAME, GYRO_OUT, Variant, registers
+from adis_gonio.device.sensor.settings import (
+    Alarm,
+    filter_response,
+    rounding_spectrum,
+    scales,
+    sens_avg_word,
+    white_noise_gain,
+)
+
+_NOISE_SCANS = 4096
+_SCANS = 512
+_STEP = 1000
+
+_OVER_RANGE = BY_NAME["STATUS"].field("over_range").mask
+_ALARM = BY_NAME["STATUS"].field("alarm1").mask
+_GAPS = "the scans have gaps on this bridge, so that they have no spectrum"
+BANDS = 6
+HANN_WIDTH = 35 / 18
+"""Number of bins of a periodogram with Hann's window that count as one independent bin in a mean."""
+
+
+def flicker(floor: Floats, frequency_hz: Floats, rate_hz: float) -> Floats:
+    """Return the level (n, k) of flicker (1/f) noise in a periodogram of k axes at n frequencies.
+
+    `floor` (k,) is the floor of the Allan deviation of each axis, `frequency_hz` has the frequencies (n,),
+    and `rate_hz` is the sample rate. The one-sided density of flicker is floor² / (2 ln 2 f); white noise
+    has 2 σ² / rate and the level σ² in each bin.
+    """
+    return np.asarray(floor**2 / (2 * math.log(2) * frequency_hz[:, None]) * rate_hz / 2)
+
+
+def spectrum(values: Floats) -> tuple[Floats, Floats]:
+    """Return frequencies (cycles per sample) and periodogram of k series of n values, with Hann's window.
+
+    White noise of variance σ² has the mean σ² in every bin.
+    """
+    from scipy.signal import detrend, periodogram
+
+    cycles, density = periodogram(detrend(values, axis=0), window="hann", detrend=False, axis=0)
+    # The density is one-sided: twice the power of a bin.
+    return np.asarray(cycles, np.float64), np.asarray(density / 2, np.float64)
+
+
+class Noise(BringupStep):
+    """Compares the noise of all axes with the variant's figures, and its spectrum with the filter."""
+
+    name = "noise"
+    does = f"{_NOISE_SCANS} scans of accelerometers and gyros at rest: rms, bands of the spectrum, tones"
+    effect = SideEffect.LENDS
+    settles = ("accel_noise", "gyro_noise")
+
+    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
+        """Record scans at rest and judge the noise of the six axes."""
+        sensor = bench.sensor
+        configuration = sensor.configuration()
+        names = (*ACCEL_OUT, *GYRO_OUT)
+        if configuration.gyro_range_dps is None:
+            return found.not_measured("SENS_AVG holds no valid range of the gyros")
+        block, whole = bench.scans(_NOISE_SCANS, names)
+        if not whole:
+            return found.not_measured(_GAPS)
+        m, rate = configuration.filter_m, configuration.sample_rate_hz
+        lsb, _, units = scales(registers(names), sensor.variant, configuration.gyro_range_dps)
+        expected = sensor.variant.performance.noise
+        numbers = block.numbers().astype(np.float64)
+        stuck = [name for name, column in zip(names, numbers.T, strict=True) if not np.ptp(column)]
+        if stuck:
+            return found.fault(f"{', '.join(stuck)} never changes: the axis does not work")
+        judged = _by_spectrum(sensor.variant, numbers, m, rate, expected / lsb)
+        sigma, u = judged.sigma * lsb, judged.u * lsb
+        for name, s, d, e, unit in zip(names, sigma, u, expected, units, strict=True):
+            found.measure(f"noise of {name}, unfiltered", s, unit, d, e)
+        found.measure("scans", len(block))
+        found.figures += judged.figures
+        _answer_noise(found, names, judged.level_off)
+        if judged.tones:
+            text = "; ".join(
+                f"a tone of {math.sqrt(2) * rms * lsb[k]:.2g} {units[k]} at {hz:.1f} Hz on {names[k]}"
+                for k, hz, rms in judged.tones
+            )
+            return found.fault(f"{text}: hum or a vibrating table")
+        if judged.shape_off:
+            wrong = ", ".join(names[k] for k in judged.shape_off)
+            return found.differs(f"the spectrum of {wrong} is not the filter's")
+        off = [k for k in range(6) if judged.level_off[k]]
+        if off:
+            return found.differs(
+                "; ".join(
+                    f"{names[k]}: {sigma[k]:.3g} {units[k]} rms, the table says {expected[k]:g}"
+                    for k in off
+                )
+            )
+        mean_mg, mean_dps = float(np.mean(sigma[:3])), float(np.mean(sigma[3:]))
+        return found.ok(
+            f"{mean_mg:.2f} mg and {mean_dps:.3f} °/s rms unfiltered, as the table says, white behind the"
+            " filter"
+        )
+
+
+class _Judged:
+    """Noise of k axes, with the axes that deviate from the variant's figures.
+
+    Attributes
+    ----------
+    sigma, u : (k,) float
+        Standard deviation before the filter in LSB, and its standard uncertainty.
+    level_off : list of bool
+        True for each axis with other noise than the variant's.
+    shape_off : list of int
+        Axes with a spectrum of another shape than the filter.
+    tones : list of (int, float, float)
+        Axis, frequency in Hz and rms in LSB of each single tone.
+    figures : tuple of Measured
+        Further figures of the step.
+    """
+
+    def __init__(self, sigma: Floats, u: Floats) -> None:
+        self.sigma = sigma
+        self.u = u
+        self.level_off = [False] * len(sigma)
+        self.shape_off: list[int] = []
+        self.tones: list[tuple[int, float, float]] = []
+        self.figures: tuple[Measured, ...] = ()
+
+
+def _by_spectrum(part: Variant, numbers: Floats, m: int, rate_hz: float, expected: Floats) -> _Judged:
+    """Judge the noise of scans without gaps by their spectrum: level, shape and single tones.
+
+    `numbers` are the scans (n, k) of the first k of the six axes in LSB, `m` is the filter setting,
+    `rate_hz` the sample rate, and `expected` the noise (k,) in LSB by the figures of the variant `part`.
+    Only frequencies are used at which white noise exceeds rounding and flicker noise.
+    """
+    cycles, power = spectrum(numbers)
+    gain = filter_response(m, cycles)
+    axes = slice(len(expected))
+    floor = part.performance.floor[axes] * expected / part.performance.noise[axes]
+    # Frequency above which flicker adds at most a tenth to the white noise of every axis.
+    lowest_hz = float(np.max(flicker(floor, np.ones(1), rate_hz)[0] / (0.1 * expected**2)))
+    used = cycles * rate_hz >= max(lowest_hz, 4 * rate_hz / len(numbers))
+    rounded = np.stack([rounding_spectrum(m, sigma, cycles) for sigma in expected], axis=1)
+    used &= np.all(gain[:, None] * expected**2 >= rounded, axis=1)
+    used[-1] = False  # the last bin is real and has another distribution
+    rest = gain[used, None] * flicker(floor, cycles[used] * rate_hz, rate_hz) + rounded[used]
+    relative = (power[used] - rest) / gain[used, None]
+    # The scatter of a bin includes flicker and rounding: weight it by the share of the white noise.
+    share = gain[used, None] * expected**2 / (gain[used, None] * expected**2 + rest)
+    # Weighted mean of the levels of the bins, and its number of independent bins.
+    level = np.sum(share**2 * relative, axis=0) / np.sum(share**2, axis=0)
+    effective = np.sum(share**2, axis=0) / HANN_WIDTH
+    sigma = np.sqrt(np.maximum(level, 1e-12))
+    judged = _Judged(sigma, sigma / (2 * np.sqrt(effective)))
+    model = gain[used, None] * np.maximum(level, 1e-12) + rest
+    ratio = power[used] / model
+    hz = cycles[used] * rate_hz
+    for k in range(len(sigma)):
+        low, high = variance_ratio(2 * effective[k])
+        judged.level_off[k] = not low <= level[k] / expected[k] ** 2 <= high
+        highest = int(np.argmax(ratio[:, k]))
+        if ratio[highest, k] > highest_bin(len(ratio)):
+            # A line of rms r gives about n r² / 3 in its highest bin with Hann's window.
+            rms = math.sqrt(3 * power[used][highest, k] / gain[used][highest] / len(numbers))
+            judged.tones.append((k, float(hz[highest]), rms))
+        # The shape is judged by the means over bands of the spectrum.
+        bands = [band for band in np.array_split(ratio[:, k], BANDS) if len(band)]
+        for band in bands:
+            low, high = variance_ratio(2 * len(band) / HANN_WIDTH)
+            if not low <= float(np.mean(band)) <= high and k not in judged.shape_off:
+                judged.shape_off.append(k)
+    judged.figures = (Measured("lowest frequency that is judged", float(hz[0]), "Hz"),)
+    return judged
+
+
+def _answer_noise(found: StepResult, names: Sequence[str], off: Sequence[bool]) -> None:
+    """Answer the questions on the noise by the first six figures of `found`, one figure for each axis.
+
+    `names` are the output registers of the axes. `off` has for each axis True if its noise differs from the
+    variant's.
+    """
+    for question, first, unit in (("accel_noise", 0, "mg"), ("gyro_noise", 3, "°/s")):
+        axes = slice(first, first + 3)
+        pairs = zip(names[axes], found.figures[axes], strict=True)
+        figures = [replace(figure, name=name, unit=unit) for name, figure in pairs]
+        text = f"{', '.join(f'{figure.value:.3g}' for figure in figures)} {unit} where the table says"
+        found.check(question, not any(off[axes]), f"{text} {figures[0].expected:g}", *figures)
+
+
+class FilterSteps(BringupStep):
+    """Measures how much each filter setting M reduces the noise."""
+
+    name = "filter steps"
+    does = "writes M = 0 … 6 in SENS_AVG and measures the noise of the accelerometers at each"
+    effect = SideEffect.WRITES
+    question = "Write SENS_AVG (filter M = 0 … 6, about 20 s)?"
+    settles = ("filter_gain",)
+    _scans = 2048
+
+    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
+        """Compare the noise of the accelerometers at rest with each setting M with the noise at M = 0."""
+        bench.sample_quickly()
+        part, rate = bench.sensor.variant, bench.sensor.configuration().sample_rate_hz
+        expected = part.performance.noise[:3] / part.accel_mg_per_lsb
+        wrong, first, u_first = [], 0.0, 0.0
+        for m in range(7):
+            bench.sensor.write("SENS_AVG", sens_avg_word(300, m))
+            bench.bus.sleep_s(bench.sensor.configuration().settling_s)
+            block, whole = bench.scans(self._scans, ACCEL_OUT)
+            if not whole:
+                return found.not_measured(_GAPS)
+            judged = _by_spectrum(part, block.numbers().astype(np.float64), m, rate, expected)
+            # Noise of an axis before the filter, if its gain is that of the table, and relative u.
+            noise = float(judged.sigma.mean())
+            u = float(np.linalg.norm(judged.u)) / len(judged.u) / noise
+            if m == 0:
+                if judged.tones:
+                    return found.not_measured("the table vibrates, see the step 'noise'")
+                first, u_first = noise, u
+                continue
+            ratio, u = noise / first, math.hypot(u, u_first)
+            gain = white_noise_gain(m)
+            found.measure(f"noise gain at M = {m}", gain * ratio, "1", gain * ratio * u, gain)
+            # Without a filter the noise is white within 2 %.
+            if abs(ratio - 1) > Z * u + 0.02:
+                wrong.append(f"M = {m}: {gain * ratio:.3f} instead of {gain:.3f}")
+        text = f"noise gains {'; '.join(wrong)}" if wrong else "two boxcars of 2^M taps, as the table says"
+        found.check("filter_gain", not wrong, text, *found.figures)
+        return found.by_answers()
+
+
+class Offset(BringupStep):
+    """Measures the LSB of the offset registers, and tests if offsets act before or after the filter."""
+
+    name = "offset"
+    does = f"writes {_STEP:+d} to XACCL_OFF, YACCL_OFF, ZACCL_OFF and looks how far the outputs move"
+    effect = SideEffect.WRITES
+    question = f"Write XACCL_OFF, YACCL_OFF and ZACCL_OFF ({_STEP:+d} LSB for a second)?"
+    settles = ("accel_offset_lsb", "offset_after_filter")
+
+    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
+        """Read the outputs without an offset, with it and without it; then change an offset once more.
+
+        The last change is made with the longest filter: a change before the filter appears in the output
+        over 127 samples, and a change after the filter at once.
+        """
+        sensor = bench.sensor
+        bench.sample_quickly()
+        held = [sensor.read(name) for name in ACCEL_OFF]
+        highest = BY_NAME[ACCEL_OFF[0]].range[1]
+        moved = [value + (_STEP if value + _STEP <= highest else -_STEP) for value in held]
+        bench.scans(_SCANS, ACCEL_OUT)
+        for numbers in (moved, held):
+            for name, number in zip(ACCEL_OFF, numbers, strict=True):
+                sensor.write(name, number)
+            bench.wait_updates()
+            bench.scans(_SCANS, ACCEL_OUT)
+        sensor.write("SENS_AVG", sens_avg_word(300, 6))
+        bench.wait_updates()
+        bench.scans(16, ACCEL_OUT[:1])
+        sensor.write(ACCEL_OFF[0], moved[0])
+        bench.bus.sleep_s(2 * sensor.configuration().sample_period_s)
+        bench.repeated(ACCEL_OUT[0], 2)
+        sensor.write(ACCEL_OFF[0], held[0])
+        chip = RecordedChip(bench.bus.calls)
+        for name in self.settles:
+            finding = BY_QUESTION[name].judge([*BY_QUESTION[name].observe(chip, sensor.variant)])
+            text = "the replies do not show it"
+            if finding.observations:
+                table = f", the table says {finding.question.table}"
+                said = "" if finding.outcome is Outcome.CONFIRMS else table
+                text = f"{finding.question.text} {finding.best}{said} ({finding.seen})"
+            found.answer(name, finding.outcome, text, *finding.measured)
+        return found.by_answers()
+
+
+def _mean_u(bench: BringupBench, count: int) -> Floats:
+    """Return the standard uncertainty (6,) in LSB of the means of all axes over `count` scans.
+
+    It is computed from white noise, flicker noise and rounding, with the figures of the sensor variant.
+    """
+    part = bench.sensor.variant
+    lsb, _, _ = scales(registers((*ACCEL_OUT, *GYRO_OUT)), part, 300)
+    white, floor = part.performance.noise / lsb, part.performance.floor / lsb
+    return np.asarray(np.sqrt(white**2 / count + 2 * floor**2 + 1 / 12 / count))
+
+
+class SelfTests(BringupStep):
+    """Runs the internal self-test, and the manual self-test with both signs of the stimulus."""
+
+    name = "self-test"
+    does = "runs the internal self-test, then the manual one with the positive and the negative stimulus"
+    effect = SideEffect.WRITES
+    question = "Run the self-tests (MSC_CTRL[10:8], about 3 s, volatile)?"
+    settles = ("self_test_gyro", "self_test_accel")
+
+    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
+        """Measure the change of the outputs of all six axes by each stimulus.
+
+        The means are taken without, with +, without, with − and without stimulus.
+        """
+        internal = bench.sensor.self_test()
+        bench.sample_quickly()
+        bench.wait_updates()
+        names = (*ACCEL_OUT, *GYRO_OUT)
+        means = []
+        for sign in ("", "positive", "", "negative", ""):
+            bench.sensor.write_fields(
+                "MSC_CTRL", positive=int(sign == "positive"), negative=int(sign == "negative")
+            )
+            bench.bus.sleep_s(0.04)  # the duration of the internal test is enough for the elements
+            bench.wait_updates()
+            means.append(bench.means(_SCANS // 2, names))
+        zero, up, between, down, end = means
+        lsb, _, units = scales(
+            registers(names), bench.sensor.variant, bench.sensor.configuration().gyro_range_dps
+        )
+        # Each stimulus is compared with the means without stimulus before and after it.
+        plus, minus = up - (zero + between) / 2, down - (between + end) / 2
+        range_scale = np.array([1.0] * 3 + [0.07326 / lsb[3]] * 3)
+        u = _mean_u(bench, _SCANS // 2) * math.sqrt(1.5) * range_scale
+        limit = Z * u
+        for sign, values in (("positive", plus), ("negative", minus)):
+            for name, value, s, size, unit in zip(names, values, u, lsb, units, strict=True):
+                found.measure(f"{name}, {sign} stimulus", value * size, unit, s * size)
+        wrong = list(internal.self_test_failures)
+        wrong += [
+            f"{name} does not answer to the positive stimulus"
+            for k, name in enumerate(names)
+            if abs(plus[k]) <= limit[k]
+        ]
+        # Answer of each axis to the negative stimulus: 0 none, 1 as to the positive one, −1 the opposite.
+        answers = np.where(np.abs(minus) > limit, np.sign(plus * minus), 0)
+        for question, axes, right in (
+            ("self_test_accel", slice(0, 3), 0),
+            ("self_test_gyro", slice(3, 6), -1),
+        ):
+            if len({*answers[axes]}) > 1:
+                wrong.append(f"{', '.join(names[axes])} answer differently to the negative stimulus")
+            answer = answers[axes][0]
+            text = f"{', '.join(names[axes])} answer {_ANSWERS[answer]}"
+            found.check(question, answer == right, text, *found.figures[axes], *found.figures[6:][axes])
+        return found.fault("; ".join(wrong)) if wrong else found.by_answers()
+
+
+_ANSWERS = {
+    -1: "to both signs of the stimulus",
+    0: "to the positive sign only",
+    1: "in the same direction to both signs",
+}
+
+
+class StatusBits(BringupStep):
+    """Tests if bits of STATUS clear when their condition ends."""
+
+    name = "status"
+    does = "raises an alarm and over-range by registers alone, ends them, and looks at EA and STATUS"
+    effect = SideEffect.WRITES
+    question = "Write ALM_MAG1, ALM_CTRL and an accelerometer's offset (a second each)?"
+    settles = ("alarm_stays", "over_range_falls")
+
+    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
+        """Test if the alarm bit stays until STATUS is read, and if the over-range bit clears."""
+        bench.sample_quickly()
+        bench.sensor.read("STATUS")
+        bench.wait_updates()
+        if standing := bench.sensor.read("STATUS"):
+            return found.not_measured(f"STATUS is 0x{standing:04X} already")
+        bench.sensor.set_alarm(1, Alarm("SUPPLY_OUT", threshold=1.0))
+        bench.wait_updates()
+        raised = bench.alarm_stands()
+        bench.sensor.clear_alarm(1)
+        bench.wait_updates()
+        stays = bool(bench.sensor.read("STATUS") & _ALARM)
+        bench.wait_updates()
+        kept = bool(bench.sensor.read("STATUS") & _ALARM)
+        if raised:
+            until = "until STATUS is read" if stays else "not until STATUS is read"
+            found.check("alarm_stays", stays, f"the bit of an alarm stays {until}")
+        self._over_range(bench, found)
+        if not raised:
+            return found.differs("an alarm on the supply above 1 V does not show as EA")
+        if kept:
+            return found.differs("an alarm's bit is not cleared by a read of STATUS")
+        return found.by_answers()
+
+    def _over_range(self, bench: BringupBench, found: StepResult) -> None:
+        """Drive one axis over its range by its offset register and back; see if the bit of STATUS falls.
+
+        The axis is the one along which gravity is largest.
+        """
+        sensor = bench.sensor
+        part = sensor.variant
+        mean = bench.means(64, ACCEL_OUT)
+        axis = int(np.argmax(np.abs(mean)))
+        name = ACCEL_OFF[axis]
+        held = sensor.read(name)
+        low, high = BY_NAME[name].range
+        end = high if mean[axis] > 0 else low
+        rest = float(mean[axis]) - held
+        reached_mg = abs(rest + end) * part.accel_mg_per_lsb
+        # The condition has to be true in every sample, even with the largest noise.
+        needed_mg = 1000 * part.accel_range_g + Z * part.performance.noise_mg
+
+        def unknown(why: str) -> None:
+            found.answer("over_range_falls", Outcome.NOT_MEASURED, why)
+
+        if reached_mg < needed_mg:
+            unknown(
+                f"with its offset {ACCEL_OUT[axis]} reaches {reached_mg:.0f} mg only of {needed_mg:.0f}:"
+                " turn the part so that an axis points along gravity"
+            )
+            return
+
+        def bit_after(number: int) -> bool:
+            sensor.write(name, number)
+            bench.wait_updates()
+            return bool(sensor.read("STATUS") & _OVER_RANGE)
+
+        bit_after(end)
+        if not bit_after(end):
+            unknown(f"{reached_mg:.0f} mg by the offset raise no over-range")
+            return
+        bench.wait_updates()  # the read cleared the bit, and the condition sets it again
+        stays = bit_after(held)
+        text = f"after its condition has ended, the bit of over-range {'stays' if stays else 'falls'}"
+        found.check("over_range_falls", not stays, text)
+
+
+class FlashCount(BringupStep):
+    """Tests if the register ENDURANCE counts a flash update by one."""
+
+    name = "flash count"
+    does = "resets the part, so that the registers have the flash's numbers, and saves them: ENDURANCE + 1"
+    effect = SideEffect.FLASH
+    question = "Reset the part and write the flash once (10 000 writes are its life)?"
+    settles = ("flash_count",)
+
+    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
+        """Save the present numbers to flash, which changes none, and compare ENDURANCE before and after."""
+        if not bench.supply_ok:
+            return found.not_measured("the supply is outside its limits, so that a flash update may fail")
+        used = {"AUX_DAC": 0x0FFF, "GPIO_CTRL": 0x0003}  # a voltage, lines that are outputs
+        in_use = [name for name, bits in used.items() if bench.sensor.read(name) & bits]
+        if in_use:
+            return found.not_measured(f"{' and '.join(in_use)} is in use, which a reset would drop")
+        before = bench.sensor.read("ENDURANCE")
+        bench.sensor.reset()
+        try:
+            after = bench.sensor.save_to_flash()
+        except ChipError as error:
+            found.answer("flash_count", Outcome.CONTRADICTS, str(error))
+            return found.fault(str(error))
+        found.measure("ENDURANCE before", before)
+        found.measure("ENDURANCE after", after, expected=before + 1)
+        found.check("flash_count", True, f"ENDURANCE went from {before} to {after}", *found.figures)
+        return found.by_answers()
