@@ -64,12 +64,12 @@ class TestSize:
         self, times: float, u: float
     ) -> None:
         data = rough(times, u=u)
-        told = scatter._likeliest_size(Fit.begin(data).refit(), data, "reading_scatter")
+        told = scatter._size_of_component(Fit.begin(data).refit(), data, "reading_scatter")
         assert told == pytest.approx(u * math.sqrt(times**2 - 1), rel=0.06)
 
     def test_there_is_none_where_residuals_are_no_larger_than_the_noise(self) -> None:
         data = rough(0.95)
-        assert scatter._likeliest_size(Fit.begin(data).refit(), data, "reading_scatter") == 0.0
+        assert scatter._size_of_component(Fit.begin(data).refit(), data, "reading_scatter") == 0.0
 
     def test_that_of_a_fixture_is_in_the_angle(self) -> None:
         c = turn()
@@ -80,7 +80,7 @@ class TestSize:
         along = np.einsum("nap,na->np", base, base[..., 0])
         away = np.radians(slips)
         away = away - along @ np.linalg.lstsq(along, away, rcond=None)[0]
-        told = scatter._likeliest_size(Fit.begin(data).refit(), data, "fixture_scatter")
+        told = scatter._size_of_component(Fit.begin(data).refit(), data, "fixture_scatter")
         # Some of the base model's columns are fixed by the lengths as well, so that 1 to 4 are used up.
         low, high = (math.sqrt(float(away @ away) / (24 - used)) for used in (0, 4))
         assert 0.95 * low < told < 1.05 * high
@@ -297,7 +297,7 @@ class TestSettling:
             made.append(SimpleNamespace(fit=selection.fit, size=size))
             return made[-1]
 
-        monkeypatch.setattr(scatter, "_likeliest_size", most_likely)
+        monkeypatch.setattr(scatter, "_size_of_component", most_likely)
         monkeypatch.setattr(scatter, "_select_with", choose)
         size, again = scatter._fit_component(data, "reading_scatter", selection, terms, 2)
         assert under == pytest.approx(chosen_under)
