@@ -235,7 +235,7 @@ class Stepper:
         self._rows = np.empty((0, 8))
         self._last: Floats | None = None
         """Time, turn (3,), rates (3,) of the last sample before these rows."""
-        self._middle: tuple[float, Floats] | None = None
+        self._middle_s: float | None = None
         self._unseen, self._gap, self._stuck = 0.0, 0.0, 0
         self._walk = 0.0
         self._rate_before: float | None = None
@@ -261,9 +261,10 @@ class Stepper:
         time_s, accel, rates = rows[:, 0], rows[:, 1:4], rows[:, 4:7]
         turn = self._turns(time_s, rates)
         middle_s, mean_turn = float(time_s.mean()), turn.mean(axis=0)
-        before = self._middle or (middle_s, mean_turn)
-        self._middle = (middle_s, mean_turn)
-        length_s = middle_s - before[0]
+        # The turn counts from the middle of the step before, so that it stays small over hours.
+        first = self._middle_s is None
+        length_s = 0.0 if self._middle_s is None else middle_s - self._middle_s
+        self._middle_s = middle_s
         limit = self._sensing.gyro_range_dps
         saturated = limit is not None and bool(np.abs(rates[:, 2]).max() >= OVER_RANGE * limit)
         self._stuck = self._stuck + 1 if saturated else 0
@@ -283,7 +284,7 @@ class Stepper:
         step = Increment(
             middle_s,
             length_s,
-            mean_turn - before[1],
+            np.zeros(3) if first else mean_turn,
             self._unseen,
             rate,
             np.array([level.real, -level.imag, accel[:, 2].mean()]),
@@ -292,8 +293,7 @@ class Stepper:
             float(rows[:, 7].mean()) if known else None,
         )
         self._unseen, self._gap = 0.0, 0.0
-        self._last[1:4] -= mean_turn  # type: ignore[index]  # turns stay small over hours
-        self._middle = (middle_s, np.zeros(3))
+        self._last[1:4] -= mean_turn  # type: ignore[index]
         return step
 
     def _turns(self, time_s: Floats, rates: Floats) -> Floats:

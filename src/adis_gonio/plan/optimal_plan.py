@@ -741,11 +741,6 @@ _ASKED: dict[Best, str] = {
     "parameters": "best for the parameters (D-optimal)",
     "tell-apart": "best to tell apart",
 }
-_FIGURE: dict[Best, str] = {
-    "angle": "u of the angle by the fitted parameters, worst place: {:.2g}°",
-    "parameters": "mean u of the parameters, along the axes of their covariance: {:.2g}",
-    "tell-apart": "an effect of typical size exceeds the others by at least {:.2g} standard uncertainties",
-}
 
 
 def prediction_lines(
@@ -767,7 +762,7 @@ def prediction_lines(
     if found is not None:
         beware = f" {', '.join(found.beware)}" if found.best == "tell-apart" else ""
         fitted = f", {', '.join(found.beware)} fitted beside" if found.beware and not beware else ""
-        figure = _FIGURE[found.best].format(found.figure)
+        figure = f"{MEANING[found.best]}: {found.figure:.2g}"
         yield from fold_text(f"{_ASKED[found.best]}{beware}{fitted}; {figure}", WIDTH)
     yield ""
     yield from _reach_lines(prediction.reach)

@@ -697,28 +697,14 @@ class Archive(ArchiveView):
             Number of the attempt, from 1.
         """
         first = attempt.blocks[0][1] if attempt.blocks else None
-        position = attempt.position
+        row = vars(attempt.position) | vars(attempt) | {"blocks": len(attempt.blocks)}
+        row |= {"registers": (), "variant": "", "gyro_range_dps": None}
+        if first is not None:
+            row |= {name: getattr(first, name) for name in ("registers", "variant", "gyro_range_dps")}
         with self._transaction():
             number = self._next("attempts", "attempt")
-            self._insert(
-                "attempts",
-                number,
-                self._run,
-                attempt.place,
-                position.angle_deg,
-                position.approach,
-                position.use,
-                attempt.outcome,
-                attempt.reason,
-                attempt.started_utc,
-                attempt.started_bus_s,
-                attempt.ended_bus_s,
-                first.registers if first else (),
-                first.variant if first else "",
-                first.gyro_range_dps if first else None,
-                attempt.status,
-                len(attempt.blocks),
-            )
+            row |= {"attempt": number, "run": self._run}
+            self._insert("attempts", *(row[column.name] for column in schema.TABLES["attempts"]))
             for sequence, (phase, block) in enumerate(attempt.blocks):
                 words, time_s = to_bytes(block), block.time_s.astype("<f8").tobytes()
                 self._insert("blocks", number, sequence, phase, len(block), block.lost, words, time_s)
