@@ -419,9 +419,9 @@ def solve(problem: LeastSquaresProblem) -> Solution:
     quiet = float(np.median(np.diff(problem.reading, n=3, axis=0) ** 2)) / 0.455 / 20
     variances = Variances(np.full(m, max(quiet, 1e-6)), math.radians(0.03) ** 2, 1.0, m, m, STATED_DOF)
     for _ in range(40):
-        information, right, _ = _system(problem, values, variances)
-        covariance = _inverse(information)
-        step = covariance @ right
+        left, rows = _whitened(problem, values, variances)
+        covariance = _inverse(rows.T @ rows)
+        step = covariance @ (rows.T @ left)
         # Largest change of a common parameter, in its standard uncertainties.
         change = float(
             np.abs(step[: problem.common] / np.sqrt(np.diag(covariance)[: problem.common])).max()
@@ -445,32 +445,24 @@ def solve(problem: LeastSquaresProblem) -> Solution:
     return _finished(problem, values, variances)
 
 
-def _system(
-    problem: LeastSquaresProblem, values: Floats, variances: Variances
-) -> tuple[Floats, Floats, tuple[Floats, ...]]:
-    """Return the normal equations of one iteration at `values`, and the information of each source.
+def _whitened(problem: LeastSquaresProblem, values: Floats, variances: Variances) -> tuple[Floats, Floats]:
+    """Return residuals (r,) and their Jacobian (r, p) at `values`, both divided by standard deviations.
 
-    The results are the information matrix, the right side of the equations, and the parts of the
-    information matrix from the accelerometers (a matrix), the gyro (a matrix) and the priors (a diagonal).
+    The rows are the readings of the accelerometers (2 m), the turns by the gyro between windows (m − 1),
+    and the priors of the common parameters and drifts.
     """
     accel, gyro, by_accel, by_gyro = problem.model(values)
     mean, variance = problem.prior
-    n_p = problem.size - problem.m
-    # Precision of the priors, with the fitted size of the drifts.
-    scaled = variance.copy()
-    scaled[problem.drift_rows] *= variances.drift
-    weight = 1 / variances.accel_mg2
-    flat = by_accel.reshape(-1, problem.size)
-    weighted = flat * np.repeat(weight, 2)[:, None]
-    info_accel = flat.T @ weighted
-    steps = by_gyro / problem.walk(variances)[:, None]
-    info_gyro = by_gyro.T @ steps
-    precision = np.zeros(problem.size)
-    precision[:n_p] = 1 / scaled
-    pull = np.zeros(problem.size)
-    pull[:n_p] = (mean - values[:n_p]) / scaled
-    right = weighted.T @ accel.ravel() + steps.T @ gyro + pull
-    return info_accel + info_gyro + np.diag(precision), right, (info_accel, info_gyro, precision)
+    # The priors of the drifts have the fitted size of the drifts.
+    prior = variance.copy()
+    prior[problem.drift_rows] *= variances.drift
+    weights = 1 / np.sqrt(
+        np.concatenate([np.repeat(variances.accel_mg2, 2), problem.walk(variances), prior])
+    )
+    known = np.eye(len(mean), problem.size)
+    rows = np.concatenate([by_accel.reshape(-1, problem.size), by_gyro, known])
+    left = np.concatenate([accel.ravel(), gyro, mean - values[: len(mean)]])
+    return left * weights, rows * weights[:, None]
 
 
 def _inverse(information: Floats) -> Floats:
@@ -494,12 +486,13 @@ def _renewed(
 
     `before` are the variances with which `values` and `covariance` were fitted.
     """
-    accel, gyro, by_accel, by_gyro = problem.model(values)
-    flat = by_accel.reshape(-1, problem.size)
-    taken = np.einsum("ij,ij->i", flat @ covariance, flat).reshape(-1, 2) / before.accel_mg2[:, None]
+    accel, gyro, *_ = problem.model(values)
+    _, rows = _whitened(problem, values, before)
+    # Degrees of freedom that the fit uses of each row.
+    taken = np.einsum("ij,ij->i", rows @ covariance, rows)
     # The used degrees of freedom are slow, and slow noise is denser than the noise of a window
     # (`LONG_RUN`).
-    free = np.maximum(2 - LONG_RUN * taken.sum(axis=1), 1e-3)
+    free = np.maximum(2 - LONG_RUN * taken[: 2 * problem.m].reshape(-1, 2).sum(axis=1), 1e-3)
     squares = (accel**2).sum(axis=1)
     whole = float(squares.sum() / free.sum()) if free.sum() > 1 else float(before.accel_mg2.mean())
     stretch = (problem.windows.centre_s / STRETCH_S).astype(np.intp)
@@ -508,42 +501,39 @@ def _renewed(
     each = (sums + STATED_DOF * whole) / (frees + STATED_DOF)
     # The whole is an average over uneven stretches; a quiet stretch may have much less.
     each = np.maximum(each, 1e-3 * whole)
-    walk = problem.walk(before)
-    # Degrees of freedom that the fit used of each step of the gyro.
-    used = np.einsum("ij,ij->i", by_gyro @ covariance, by_gyro) / walk
     sure = problem.windows.gap_s == 0
-    left = float(np.maximum(1 - used[sure], 0).sum())
+    left = float(np.maximum(1 - taken[2 * problem.m : 3 * problem.m - 1][sure], 0).sum())
     dt = np.diff(problem.windows.centre_s)
     gyro_now = (float((gyro[sure] ** 2 / dt[sure]).sum()) + STATED_DOF * math.radians(0.021) ** 2) / (
         left + STATED_DOF
     )
-    drift, known = 1.0, STATED_DOF
-    rows = problem.drift_rows
-    if rows.stop > rows.start:
-        stated = problem.prior[1][rows]
-        seen = float((1 - np.diag(covariance)[rows] / (stated * before.drift)).sum())
-        drift = (float((values[rows] ** 2 / stated).sum()) + STATED_DOF) / (max(seen, 0) + STATED_DOF)
-        known = STATED_DOF + max(seen, 0.0)
+    # Without drifts both sums are 0, and the factor on their stated variance is 1.
+    drifts = problem.drift_rows
+    seen = max(float((1 - taken[3 * problem.m - 1 :][drifts]).sum()), 0.0)
+    size = float((values[drifts] ** 2 / problem.prior[1][drifts]).sum())
+    drift = (size + STATED_DOF) / (seen + STATED_DOF)
     return Variances(
         LONG_RUN * each[stretch], gyro_now, drift,
-        max(float(free.sum()) / LONG_RUN, 1.0), max(left + STATED_DOF, 1.0), known,
+        max(float(free.sum()) / LONG_RUN, 1.0), max(left + STATED_DOF, 1.0), STATED_DOF + seen,
     )  # fmt: skip
 
 
 def _finished(problem: LeastSquaresProblem, values: Floats, variances: Variances) -> Solution:
-    information, _, (by_accel, by_gyro, precision) = _system(problem, values, variances)
-    covariance = _inverse(information)
+    _, rows = _whitened(problem, values, variances)
+    covariance = _inverse(rows.T @ rows)
     # Common parameters and angles, without the drifts.
     keep = np.r_[0 : problem.common, problem.size - problem.m : problem.size]
-    drifts = np.zeros(problem.size, bool)
-    drifts[problem.drift_rows] = True
-    chosen = covariance[keep]
-    shares = (
-        (chosen @ by_accel @ chosen.T, variances.accel_dof),
-        (chosen @ by_gyro @ chosen.T, variances.gyro_dof),
-        ((chosen * (precision * drifts)) @ chosen.T, variances.drift_dof),
-        ((chosen * (precision * ~drifts)) @ chosen.T, math.inf),
+    # Change of these by one standard deviation of each row: its blocks are the causes of the uncertainty.
+    changes = covariance[keep] @ rows.T
+    begin = 3 * problem.m - 1
+    drifts = np.arange(begin + problem.drift_rows.start, begin + problem.drift_rows.stop)
+    causes = (
+        (np.arange(2 * problem.m), variances.accel_dof),
+        (np.arange(2 * problem.m, begin), variances.gyro_dof),
+        (drifts, variances.drift_dof),
+        (np.setdiff1d(np.arange(begin, len(rows)), drifts), math.inf),
     )
+    shares = tuple((changes[:, one] @ changes[:, one].T, dof) for one, dof in causes)
     return Solution(
         values[: problem.common].copy(),
         values[-problem.m :].copy(),
