@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from adis_gonio.fitting.estimation import readings as module
-from adis_gonio.fitting.estimation.readings import Readings, from_means, readings_of
-from adis_gonio.fitting.estimation.spectrum import covariance_of_means, scatter_of_means
+from adis_gonio.fitting.estimation.readings import Readings, flicker_parts, from_means, readings_of
+from adis_gonio.fitting.estimation.spectrum import covariance_of_means, scatter_of_means, spans
 from adis_gonio.fitting.methods import fit_readings
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.records import Dwell, Session
@@ -29,7 +29,9 @@ def modes_of(*parts: Dwell) -> Readings:
     """Readings of dwells under 1/f noise, whatever their samples."""
     flicker = np.full(2, FLICKER_MG**2)
     many = np.array([k for k, part in enumerate(parts) if len(part) > 1])
-    own, slow = module._of_flicker([parts[k] for k in many], flicker, many, len(parts))
+    own, shared = flicker_parts(*spans([parts[k].time_s for k in many]), flicker)
+    slow = np.zeros((len(parts), *shared.shape[1:]))
+    slow[many] = shared
     covariance = np.tile(U_MG**2 * np.eye(2), (len(parts), 1, 1))
     covariance[many] += own[:, :, None] * np.eye(2)
     mean = np.zeros((len(parts), 2))

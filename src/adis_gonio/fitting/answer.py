@@ -113,7 +113,7 @@ def compare_methods(session: Readings) -> MethodComparison:
             failures[method] = str(error)
     if not results:
         results.append(fit_of(session))
-    found = predictions(session, results)
+    found = {result.method: prediction_of(session, result) for result in results}
     scores = scores_of(found)
     return MethodComparison(
         tuple(results), failures, found, scores, recommend(results, found, scores, default_method(training))
@@ -260,11 +260,6 @@ class Score(JsonRecord):
     dwells: int
 
 
-def predictions(session: Readings, results: Sequence[FitResult]) -> dict[str, DwellPrediction]:
-    """Return the prediction errors of every dwell by each method, from fits without this dwell."""
-    return {result.method: _of_method(session, result) for result in results}
-
-
 def scores_of(found: Mapping[str, DwellPrediction]) -> dict[str, Score]:
     """Return the errors of each method on the dwells that all methods predict.
 
@@ -293,7 +288,8 @@ def _score(prediction: DwellPrediction, rows: NDArray[np.bool_]) -> Score:
     )
 
 
-def _of_method(session: Readings, result: FitResult) -> DwellPrediction:
+def prediction_of(session: Readings, result: FitResult) -> DwellPrediction:
+    """Return the errors with which a method predicts every dwell of a session, without having seen it."""
     made = result.origin
     assert made is not None
     used = np.isin(session.position, result.positions) & ~session.check

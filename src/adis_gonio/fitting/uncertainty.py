@@ -605,21 +605,10 @@ def budget_of(sources: Sources, gradient: Floats, reading: Floats | None = None)
         contribution = math.sqrt(sum(part[2] for part in parts))
         if contribution < ROUNDING * total:
             contribution = 0.0
-        known = source.u is not None and source.u > 0
-        rows.append(
-            BudgetRow(
-                source=source.name,
-                kind=source.kind,
-                distribution=source.distribution,
-                u=source.u,
-                unit=source.unit,
-                sensitivity=contribution / source.u if source.u is not None and known else None,
-                contribution=contribution,
-                dof=dof_of(parts),
-                share=0.0 if source.by_definition or total == 0 else (contribution / total) ** 2,
-                note=source.note,
-            )
-        )
+        of_source = source.name, source.kind, source.distribution, source.u, source.unit
+        sensitivity = contribution / source.u if source.u else None
+        share = 0.0 if source.by_definition or total == 0 else (contribution / total) ** 2
+        rows.append(BudgetRow(*of_source, sensitivity, contribution, dof_of(parts), share, source.note))
     return tuple(rows)
 
 

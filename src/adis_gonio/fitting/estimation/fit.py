@@ -529,20 +529,16 @@ class Fit:
             # One Gauss–Newton step of each attitude, whitened by the covariance of its reading.
             along = data.root @ model.tangent(*at)
             left = data.root @ (data.mean - self._predicted(model.ideal(*at)))[:, :, None]
+            # Normal equations of each attitude, 2 × 2 in space.
             pull = precision[:, None] * model.deviation_rad(attitude)
-            if freedom == 1:
-                gram = (along**2).sum(axis=1) + precision[:, None]
-                step = ((along * left).sum(axis=1) - pull) / np.maximum(gram, 1e-300)
-                # An exact declared angle leaves no freedom.
-                step[fixed] = 0.0
-            else:
-                # In space each pose has a 2 × 2 system of normal equations.
-                right = (along.transpose(0, 2, 1) @ left)[:, :, 0] - pull
-                gram = along.transpose(0, 2, 1) @ along + precision[:, None, None] * np.eye(freedom)
-                # If an axis has no gain, a pose has only one tangent and the matrix is singular.
-                trace = np.trace(gram, axis1=1, axis2=2)[:, None, None]
-                gram = gram + (1e-12 * trace + 1e-300) * np.eye(freedom)
-                step = np.linalg.solve(gram, right[:, :, None])[:, :, 0]
+            right = (along.transpose(0, 2, 1) @ left)[:, :, 0] - pull
+            gram = along.transpose(0, 2, 1) @ along + precision[:, None, None] * np.eye(freedom)
+            # If an axis has no gain, a pose has only one tangent and the matrix is singular.
+            trace = np.trace(gram, axis1=1, axis2=2)[:, None, None]
+            gram = gram + (1e-12 * trace + 1e-300) * np.eye(freedom)
+            step = np.linalg.solve(gram, right[:, :, None])[:, :, 0]
+            # An exact declared angle leaves no freedom.
+            step[fixed] = 0.0
             attitude = model.moved(attitude, step)
         return replace(self, values=replace(self.values, attitude=attitude))
 

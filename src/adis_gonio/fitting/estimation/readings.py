@@ -509,16 +509,15 @@ def _checked_readings(session: Session) -> Readings:
 
 def reduced(session: Session) -> Readings:
     """Reduce all dwells to readings; the length of a reading and the sense of rotation are not checked."""
-    source = session.source or "session"
     axes = 2 if session.plane == "xy" else 3
     dwells, converter, notes = _usable(session, axes)
     scale = mg_per_unit(session)
     n = len(dwells)
     mean = np.array([d.accel[0, :axes] if len(d) == 1 else d.accel[:, :axes].mean(axis=0) for d in dwells])
-    mean = mean * scale
+    mean *= scale
     if not np.isfinite(mean).all():
-        bad = int(np.flatnonzero(~np.isfinite(mean).all(axis=1))[0])
-        raise DataError(f"{source}: position {dwells[bad].position} holds NaN or infinity")
+        bad = dwells[int(np.flatnonzero(~np.isfinite(mean).all(axis=1))[0])]
+        raise DataError(f"{session.source or 'session'}: position {bad.position} holds NaN or infinity")
     samples = np.array([len(d) for d in dwells], dtype=np.intp)
     unit = (
         in_mg(axes, scale) if session.accel_unit != "counts" else _unit_of_counts(mean, session.gravity_mg)
@@ -529,9 +528,8 @@ def reduced(session: Session) -> Readings:
     dof = np.full(n, np.inf)
     slow: Floats | None = None
     parts: dict[str, Any] = {}
-    lone = (samples == 1) | _without_noise(session, dwells, axes)
-    single = np.flatnonzero(lone)
-    many = np.flatnonzero(~lone)
+    single = np.flatnonzero((samples == 1) | _without_noise(session, dwells, axes))
+    many = np.setdiff1d(np.arange(n), single)
     known = not single.size or session.reading_u_mg is not None
     if session.reading_u_mg is not None:
         covariance[single] *= session.reading_u_mg**2
@@ -545,9 +543,12 @@ def reduced(session: Session) -> Readings:
         noise = spectrum.noise_of_means(rows, mg)
         # Dwells at a limit show other steps than the converter's, so they are left out here.
         steps = screening.steps_of(rows) if converter.spoiled else converter.steps
-        quantum = mg * (np.maximum(steps, 1.0) if session.accel_unit == "lsb" else steps)
-        flicker = flicker_of(noise, _stated_flicker(session))
-        own, slow = _of_flicker([dwells[k] for k in many.tolist()], flicker, many, n)
+        quantum = mg * np.maximum(steps, float(session.accel_unit == "lsb"))
+        begin_s, end_s = spectrum.spans([dwells[k].time_s for k in many.tolist()])
+        own, shared_noise = flicker_parts(begin_s, end_s, flicker_of(noise, _stated_flicker(session)))
+        if shared_noise is not None:
+            slow = np.zeros((n, *shared_noise.shape[1:]))
+            slow[many] = shared_noise
         rounding, level = np.zeros((n, axes)), np.zeros((n, axes))
         rounding[many], level[many] = quantization_variance(rows, mg, quantum), own
         covariance[many] = noise.covariance + (rounding + level)[many, :, None] * np.eye(axes)
@@ -563,7 +564,6 @@ def reduced(session: Session) -> Readings:
                 "within the dwells the noise still rises towards the lowest frequencies (a long filter, "
                 "drift or 1/f noise): the uncertainty of a reading is itself uncertain, dwell longer"
             )
-    sigma = session.fixture_sigma_deg
     angle = np.radians([np.nan if d.angle_deg is None else d.angle_deg for d in dwells])
     stage_modes = 0
     if session.stage_curve is not None:
@@ -582,8 +582,8 @@ def reduced(session: Session) -> Readings:
         angle_rad=angle,
         conditions=_conditions(dwells, angle, mean, unit, scale, axes),
         gravity_mg=session.gravity_mg,
-        fixture_rad=0.0 if sigma is None else math.radians(sigma),
-        fixture_stated=sigma is not None,
+        fixture_rad=math.radians(session.fixture_sigma_deg or 0.0),
+        fixture_stated=session.fixture_sigma_deg is not None,
         check=np.array([dwell.use == "check" for dwell in dwells]),
         position=np.array([d.position for d in dwells], dtype=np.intp),
         samples=samples,
@@ -631,34 +631,11 @@ def _usable(session: Session, axes: int) -> tuple[list[Dwell], screening.Convert
     return dwells, converter, screening.limit_notes(limits, session.accel_unit)
 
 
-def _of_flicker(
-    dwells: Sequence[Dwell], flicker: Floats, many: NDArray[np.intp], n: int
-) -> tuple[Floats, Floats | None]:
-    """Split the 1/f noise of dwell means into a part of each dwell alone and a part that dwells share.
-
-    The first result (m, axes) is the variance of each mean by the part of its dwell alone. The second (n,
-    axes, k) is the change of the readings by each of k independent shared errors of unit variance; None if
-    there are none. `flicker` (axes,) is the Allan variance of the noise. The m `dwells` have several
-    samples; `many` are their rows among the n readings. The noise is the deviation from the mean over a
-    time twice as long as the session (`covariance_of_means`).
-    """
-    begin, end = (np.zeros(len(dwells)),) * 2
-    if _keeps_modes(len(dwells), flicker):
-        begin, end = spectrum.spans([dwell.time_s for dwell in dwells])
-    own, shared = flicker_parts(begin, end, flicker)
-    if shared is None:
-        return own, None
-    slow = np.zeros((n, *shared.shape[1:]))
-    slow[many] = shared
-    return own, slow
-
-
-def _keeps_modes(dwells: int, flicker: Floats) -> bool:
-    return 2 <= dwells <= MOST_SHARED and bool(flicker.any())
-
-
 def flicker_parts(begin_s: Floats, end_s: Floats, flicker: Floats) -> tuple[Floats, Floats | None]:
     """Split the 1/f noise of dwell means into a part of each mean alone and a part that means share.
+
+    The noise is the deviation from the mean over a time twice as long as the session
+    (`covariance_of_means`).
 
     Parameters
     ----------
@@ -676,7 +653,7 @@ def flicker_parts(begin_s: Floats, end_s: Floats, flicker: Floats) -> tuple[Floa
         deviation; None if they share no noise.
     """
     m, axes = len(begin_s), len(flicker)
-    if not _keeps_modes(m, flicker):
+    if not (2 <= m <= MOST_SHARED and flicker.any()):
         return np.tile(flicker * spectrum.scatter_of_means(m), (m, 1)), None
     factor, left = spectrum.modes(spectrum.covariance_of_means(begin_s, end_s))
     k = factor.shape[1]
