@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -21,6 +22,7 @@ def _signed(word: int, bits: int) -> int:
     return data - (1 << bits) if data >> (bits - 1) else data
 
 
+@cache
 def scans(n: int, span: int, *, words: bool) -> Scans:
     """Scans of the generator x ← 1664525 x + 1013904223 (Numerical Recipes), as sweep.c draws them."""
     state = 12345

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -72,7 +73,6 @@ def off(shown_deg, angle_deg):
 def shown_on(machine: str, folder: Path, kind: str, n: int, *, words: bool) -> Printed:
     """What the compiled header prints for n scans; `words` draws every second one as register words."""
     own = KINDS[kind]()
-    folder.mkdir(exist_ok=True)
     (folder / "own.h").write_text(c_header(own))
     angle = "_angle_##u" if own.planar else "_angle_xy_##u"
     options = [
@@ -82,17 +82,29 @@ def shown_on(machine: str, folder: Path, kind: str, n: int, *, words: bool) -> P
     return parsed(machine_named(machine).run(folder, *options), own.axes)
 
 
+@pytest.fixture(scope="module")
+def on_host(tmp_path_factory):
+    """What the host prints, once for all machines that are compared with it."""
+
+    @cache
+    def shown(kind: str, n: int, words: bool) -> Printed:
+        return shown_on("host", tmp_path_factory.mktemp("host"), kind, n, words=words)
+
+    return shown
+
+
 @pytest.mark.parametrize("machine", [one.name for one in MACHINES])
 @pytest.mark.parametrize(
     ("kind", "n"),
     [("curved", SCANS), *((kind, OTHERS) for kind in KINDS if kind != "curved")],
 )
-def test_every_machine_gives_the_bits_of_the_host_and_float_within_its_bound(tmp_path, machine, kind, n):
+def test_every_machine_gives_the_bits_of_the_host_and_float_within_its_bound(
+    tmp_path, on_host, machine, kind, n
+):
     own = KINDS[kind]()
     words = polynomial_of(own).words
-    got, host = (
-        shown_on(name, tmp_path / str(k), kind, n, words=words) for k, name in enumerate((machine, "host"))
-    )
+    host = on_host(kind, n, words)
+    got = host if machine == "host" else shown_on(machine, tmp_path, kind, n, words=words)
     assert got.self_check == 0
     assert len(got.udeg) == n
     assert np.array_equal(got.fixed, host.fixed)
@@ -106,11 +118,11 @@ def test_every_machine_gives_the_bits_of_the_host_and_float_within_its_bound(tmp
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_fixed_point_gives_the_calibration_s_angle_within_the_bound_of_the_header(tmp_path, kind):
+def test_the_fixed_point_gives_the_calibration_s_angle_within_the_bound_of_the_header(on_host, kind):
     own = KINDS[kind]()
     gravity, angle, rows = shown_by(own, scans(SCANS, span_of(kind), words=False))
     assert rows.sum() > 1000
-    got = shown_on("host", tmp_path, kind, SCANS, words=False)
+    got = on_host(kind, SCANS, False)
     assert np.abs(off(got.udeg[rows] * 1e-6, angle[rows])).max() * 1e6 < FIXED_UDEG
     at_half_g = 0.5 * np.radians(FIXED_UDEG * 1e-6)
     assert np.abs(got.fixed[rows] / ONE - gravity[rows]).max() < at_half_g

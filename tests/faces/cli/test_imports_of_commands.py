@@ -23,8 +23,8 @@ sys.exit(status)
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("imports") / "turns.session"
-    line = ["calibrate", "sim:?seed=1", "--plan", "tumble", "--positions", "9", "--auto", "-o", str(path)]
-    assert cli.main(line) == 0
+    line = ["calibrate", "sim:?seed=1", "--plan", "tumble", "--positions", "9", "--auto", "--dwell", "1"]
+    assert cli.main([*line, "-o", str(path)]) == 0
     return path
 
 
