@@ -21,7 +21,7 @@ def run(effort: Effort) -> Section:
     (case,) = [c for c in statistics.cases((CHIP_FIXTURE_DEG,), most) if c.name == CASE]
     chip = statistics.through_the_chip(case, chip_sessions, effort.seed % 10**6)
     traced = effort.sessions(12, 1)
-    names = statistics.names_found(12, traced, effort.seed)
+    names = statistics.names_found(8 if effort.fast else 12, traced, effort.seed)
     return section(lines, sessions, chip, chip_sessions, names, traced)
 
 
