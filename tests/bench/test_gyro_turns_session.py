@@ -96,9 +96,9 @@ def test_plans_that_cannot_be_are_refused(turns, faces, message):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--plan", "gyro-turns", "--trace"], "leave --check, --extend and --trace out"),
-        (["--plan", "gyro-turns", "--duration", "60"], "--duration belongs to a free turn"),
-        (["--plan", "mmpm", "--turns", "2"], "--turns belongs to a free turn"),
+        (["--plan", "gyro-turns", "--trace"], "--plan gyro-turns does not take --trace"),
+        (["--plan", "gyro-turns", "--duration", "60"], "--plan gyro-turns does not take --duration"),
+        (["--plan", "mmpm", "--turns", "2"], "--plan mmpm does not take --turns"),
         (["--plan", "gyro-turns", "--turns", "99"], "take 1 to 20 each way"),
     ],
 )

@@ -28,10 +28,12 @@ _METADATA = {
     "serial": "serial number of the part",
     "stage": "stage or fixture",
 }
-_TURNED = {
-    "free-turn": "a free turn has no positions",
-    "gyro-turns": "of gyro turns all take part in the fit",
+_PLAN_OPTIONS = {
+    "free-turn": ("--duration", "--turns"),
+    "gyro-turns": ("--positions", "--turns"),
 }
+"""Options of the plans without declared angles; the other plans take `_POSITION_OPTIONS`."""
+_POSITION_OPTIONS = ("--positions", "--check", "--extend", "--trace")
 
 
 @option.command(
@@ -313,6 +315,7 @@ def _runner(
     trace. The other arguments are options of the command, None if not given.
     """
     from adis_gonio.bench.gyro_turns import ALL_THERMOMETERS
+    from adis_gonio.bench.recorder import DURATION_S
     from adis_gonio.bench.runner import SessionRunner
     from adis_gonio.device.sensor.driver import DEFAULT_SCAN
     from adis_gonio.faces.cli.terminal import on_terminal
@@ -325,7 +328,7 @@ def _runner(
             with ArchiveView(output) as view:
                 own = view.plan()
             same = plan_name or own.name
-            asked, _ = _choose_plan(same, positions, check, duration_s, turns)
+            asked = _choose_plan(same, positions, check, duration_s, turns)
             if (asked.name, asked.turns, asked.positions) != (
                 own.name, own.turns, own.positions[: len(asked)],
             ):  # fmt: skip
@@ -343,18 +346,16 @@ def _runner(
         sigma = known.mark_sigma_deg if plan_name == GYRO_TURNS else known.fixture_sigma_deg
         gravity = known.gravity_mps2 if gravity is None else gravity
         fixture = sigma if fixture is None else fixture
-    if plan_name in _TURNED and (check or extend or advisor is not None):
-        raise UsageError(f"{_TURNED[plan_name]}: leave --check, --extend and --trace out")
-    chosen, length_s = _choose_plan(plan_name, positions, check, duration_s, turns)
+    chosen = _choose_plan(plan_name, positions, check, duration_s, turns)
     keeps_moves = options["record_turns"]
     settings = option.measuring_settings(
-        dwell_s=options["dwell_s"] if length_s is None else length_s,
+        dwell_s=(duration_s or DURATION_S) if plan_name == FREE_TURN else options["dwell_s"],
         settle_s=options["settle_s"],
         rate_hz=options["rate_hz"],
         filter_m=options["filter_m"],
         gyro_range_dps=options["range_dps"],
         data_ready=False if options["poll"] else None,
-        turns=plan_name not in _TURNED if keeps_moves is None else keeps_moves,
+        turns=plan_name not in _PLAN_OPTIONS if keeps_moves is None else keeps_moves,
         registers=ALL_THERMOMETERS if plan_name == GYRO_TURNS else DEFAULT_SCAN,
     )
     return SessionRunner.begin(
@@ -390,26 +391,25 @@ def _metadata(options: dict[str, Any], *, ask: bool) -> dict[str, str]:
 
 def _choose_plan(
     name: str | None, positions: int | None, check: int, duration_s: float | None, turns: int | None
-) -> tuple[Plan, float | None]:
-    """Return the plan that the options name, and the longest recording in s of a free turn.
+) -> Plan:
+    """Return the plan that the options name; the arguments are None if not given.
 
-    The length is None for other plans. The arguments are options of the command, None if not given.
+    It raises `UsageError` for an option that the plan does not take.
     """
     from adis_gonio.bench import gyro_turns, recorder
     from adis_gonio.plan import find_plan
     from adis_gonio.record.plans import DEFAULT_PLAN
 
+    name = name or DEFAULT_PLAN
+    given = option.given_flags("positions", "check", "extend", "closing", "duration_s", "turns")
+    allowed = _PLAN_OPTIONS.get(name, _POSITION_OPTIONS)
+    wrong = [flag for flag, is_given in given.items() if is_given and flag not in allowed]
+    if wrong:
+        raise UsageError(f"--plan {name} does not take {', '.join(wrong)}")
     if name == "free-turn":
-        if positions is not None:
-            raise UsageError(f"{_TURNED[name]}: leave --positions, --check, --extend and --trace out")
-        length_s = recorder.DURATION_S if duration_s is None else duration_s
-        return recorder.free_turn_plan(recorder.TURNS if turns is None else turns, length_s), length_s
-    if duration_s is not None:
-        dwell = "" if name == "gyro-turns" else ", or --dwell"
-        raise UsageError(f"--duration belongs to a free turn: give --plan free-turn{dwell}")
+        turns = recorder.TURNS if turns is None else turns
+        return recorder.free_turn_plan(turns, duration_s or recorder.DURATION_S)
     if name == "gyro-turns":
-        faces = 6 if positions is None else positions
-        return gyro_turns.gyro_turns_plan(gyro_turns.TURNS if turns is None else turns, faces), None
-    if turns is not None:
-        raise UsageError("--turns belongs to a free turn: give --plan free-turn (for gyros: gyro-turns)")
-    return find_plan(name or DEFAULT_PLAN, positions, check), None
+        turns = gyro_turns.TURNS if turns is None else turns
+        return gyro_turns.gyro_turns_plan(turns, 6 if positions is None else positions)
+    return find_plan(name, positions, check)
