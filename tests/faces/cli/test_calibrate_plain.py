@@ -69,7 +69,7 @@ def test_kept_nevertheless_the_end_says_that_the_result_cannot_be_right(bench):
     )
     assert status == 1
     assert said.err.count("the result cannot be right: the part has not moved") == 3
-    assert "3 dwells kept nevertheless; the data stay in" in said.err
+    assert "the data stay in" in said.err
     if said.out:
         assert len(json.loads(said.out)["doubts"]) == 3
     assert len(load_session(path).dwells) == 4

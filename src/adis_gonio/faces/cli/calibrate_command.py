@@ -268,12 +268,7 @@ def _status(session: Session, *, complete: bool) -> int:
         sure = "cannot" if doubt["attempt"] is not None else "may not"
         say(f"the result {sure} be right: {doubt['message']}")
     if doubts:
-        kept = sum(doubt["attempt"] is not None for doubt in doubts)
-        what = [f"{counted(kept, 'dwell')} kept nevertheless"] if kept else []
-        skipped = sum(doubt["kind"] != "registers" for doubt in doubts) - kept
-        if skipped:
-            what.append(f"{counted(skipped, 'position')} that contradicted dwells before skipped")
-        say("; ".join([*what, f"the data stay in {session.source}: measure again"]))
+        say(f"the data stay in {session.source}: measure again")
     return 0 if complete and not doubts else 1
 
 
