@@ -153,14 +153,14 @@ class BoardChip(SimulatedChip):
         flash = dict(board.flash)
         super().__init__(world, board.part, start_s=-0.5, flash=flash, data_ready_pulse_s=board.pulse_s)
         self._board = board
-        self._sampler = BoardSampler(variant(board.part), self._memory, board)
+        self._sampler = BoardSampler(variant(board.part), self.memory, board)
         self._restart_sampling(self._until, empty=True)
 
     def _restart_sampling(self, now: float, *, empty: bool = False) -> None:
         super()._restart_sampling(now, empty=empty)
         board = getattr(self, "_board", None)
         if board is not None:
-            self._period /= 1 + board.rate_error
+            self.update_period_s /= 1 + board.rate_error
 
     def _take(self, n: int):
         before = self._status

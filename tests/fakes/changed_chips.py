@@ -64,7 +64,7 @@ class _AfterWrite(SimulatedChip):
     def _answer(self, word, bits, clock_hz, cs_hold_s, stall, period):
         before = self._reply
         reply = super()._answer(word, bits, clock_hz, cs_hold_s, stall, period)
-        if word >> 15 and bits == 16 and self._state is not State.STARTING:
+        if word >> 15 and bits == 16 and self.state is not State.STARTING:
             self._last = before
             self._reply = self._after(word)
         return reply
@@ -77,7 +77,7 @@ class WriteEcho(_AfterWrite):
 
 class WriteContent(_AfterWrite):
     def _after(self, word):
-        return self._memory.at(word >> 8 & 0x3F)
+        return self.memory.at(word >> 8 & 0x3F)
 
 
 class WriteStale(_AfterWrite):
@@ -151,23 +151,23 @@ class NewNever(SimulatedChip):
 class CountsTwice(SimulatedChip):
     def _save(self):
         super()._save()
-        self._memory["ENDURANCE"] = self._memory["ENDURANCE"] + 1
+        self.memory["ENDURANCE"] = self.memory["ENDURANCE"] + 1
 
 
 class CountsNever(SimulatedChip):
     def _save(self):
-        before = self._memory["ENDURANCE"]
+        before = self.memory["ENDURANCE"]
         super()._save()
-        self._memory["ENDURANCE"] = before
+        self.memory["ENDURANCE"] = before
 
 
 class _Slow(SimulatedChip):
-    state = State.FLASHING
+    begun = State.FLASHING
     length_s = 0.0
 
     def _command(self, data, now):
         super()._command(data, now)
-        if self._state is self.state:
+        if self.state is self.begun:
             self._until = now + self.length_s
 
 
@@ -180,21 +180,21 @@ class FlashVerySlow(_Slow):
 
 
 class PrecisionSlow(_Slow):
-    state, length_s = State.NULLING, 60.0
+    begun, length_s = State.NULLING, 60.0
 
 
 class ResetSlow(_Slow):
     """Frames that come too early are lost, but do not harm."""
 
-    state, length_s = State.STARTING, 0.5
+    begun, length_s = State.STARTING, 0.5
 
     def _command(self, data, now):
         super()._command(data, now)
-        if self._state is State.STARTING:
+        if self.state is State.STARTING:
             self._restart_sampling(self._until, empty=True)
 
     def _refusal(self, bits, clock_hz, stall, limits):
-        if self._state is State.STARTING:
+        if self.state is State.STARTING:
             return self.floating_word
         return super()._refusal(bits, clock_hz, stall, limits)
 
@@ -210,9 +210,9 @@ class _TestSlow(SimulatedChip):
     length_s = 0.0
 
     def _write(self, *args):
-        before = self._state
+        before = self.state
         super()._write(*args)
-        if self._state is State.TESTING and before is not State.TESTING:
+        if self.state is State.TESTING and before is not State.TESTING:
             self._until = self._last_rise + self.length_s
 
 
@@ -222,12 +222,10 @@ class SelfTestSlow(_TestSlow):
 
 class SelfTestBitStays(SimulatedChip):
     def _finish(self, now):
-        tested = self._state is State.TESTING
+        tested = self.state is State.TESTING
         super()._finish(now)
         if tested:
-            self._memory["MSC_CTRL"] = (
-                self._memory["MSC_CTRL"] | BY_NAME["MSC_CTRL"].field("self_test").mask
-            )
+            self.memory["MSC_CTRL"] = self.memory["MSC_CTRL"] | BY_NAME["MSC_CTRL"].field("self_test").mask
 
 
 # -- signals ---------------------------------------------------------------------------------------------
@@ -239,7 +237,7 @@ class _OtherChain(SimulatedChip):
     def __init__(self, *args, **options):
         super().__init__(*args, **options)
         self._sampler.__class__ = self.chain_kind
-        self._sampler.configure(self._memory)
+        self._sampler.configure(self.memory)
 
 
 def _with_chain(chain: type[SignalChain]) -> type[SimulatedChip]:
@@ -356,7 +354,7 @@ class _OtherPeriod(SimulatedChip):
 
     def _restart_sampling(self, now, *, empty=False):
         super()._restart_sampling(now, empty=empty)
-        self._period = self._period_s(self._memory["SMPL_PRD"] & 0xFF or 1)
+        self.update_period_s = self._period_s(self.memory["SMPL_PRD"] & 0xFF or 1)
 
 
 class PeriodOfN(_OtherPeriod):

@@ -36,7 +36,7 @@ class WriteReturnsOld(_AfterWrite):
     """The reply to a write is the word that the register had before the write."""
 
     def _answer(self, word, *details):
-        self._old = self._memory.at(word >> 8 & 0x3F)
+        self._old = self.memory.at(word >> 8 & 0x3F)
         return super()._answer(word, *details)
 
     def _after(self, word):
@@ -71,7 +71,7 @@ class AlarmOffClears(SimulatedChip):
         row = BY_NAME["ALM_CTRL"]
         if address & ~1 == row.address:
             for k, bit in enumerate(ALARM_BITS, 1):
-                if not row.field(f"source{k}").of(self._memory[row.name]):
+                if not row.field(f"source{k}").of(self.memory[row.name]):
                     self._status &= ~bit
 
 
@@ -104,7 +104,7 @@ class CountsChangesOnly(SimulatedChip):
     """A flash update that would change nothing spares the flash and is not counted."""
 
     def _save(self):
-        memory = self._memory
+        memory = self.memory
         rows = [row for row in REGISTERS if row.flash_mask]
         if any((memory[row.name] & row.flash_mask) != memory._flash[row.name] for row in rows):
             super()._save()
@@ -115,7 +115,7 @@ class SelfTestOf70Ms(_TestSlow):
 
 
 class PrecisionOf45S(_Slow):
-    state, length_s = State.NULLING, 45.0
+    begun, length_s = State.NULLING, 45.0
 
 
 # -- signals ---------------------------------------------------------------------------------------------

@@ -125,7 +125,7 @@ class _BenchChip(SimulatedChip):
         self.restarts += 1
 
     def _sample_to(self, time_s: float) -> None:
-        unread = int((time_s - self._epoch) / self._period) - self._k - UNREAD_SAMPLES
+        unread = int((time_s - self._epoch) / self.update_period_s) - self._k - UNREAD_SAMPLES
         if unread > 0 and self.state is State.RUNNING:
             self._k += unread
             self._updates += unread

@@ -612,13 +612,15 @@ class Archive(ArchiveView):
         Path of the file.
     utc : callable
         Returns the present time as the text that is stored with a run or record.
+    run : int
+        Number of the present run (opening for recording), from 1; 0 before `begin_run`.
     """
 
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
         self.path = path
         self._connection = connection
         self.utc: Callable[[], str] = schema.utc_now
-        self._run = 0
+        self.run = 0
 
     @classmethod
     def create(cls, path: str | Path, header: schema.Header) -> Archive:
@@ -654,11 +656,6 @@ class Archive(ArchiveView):
         path = Path(path)
         return cls(path, connect(path, write=True))
 
-    @property
-    def run(self) -> int:
-        """Number of the present run (opening for recording), from 1; 0 before `begin_run`."""
-        return self._run
-
     def begin_run(self, bus_s: float, clock_offset_s: float, continues: int = 0) -> int:
         """Register a new run (opening for recording), and return its number, from 1.
 
@@ -677,7 +674,7 @@ class Archive(ArchiveView):
             run = self._next("runs", "run")
             software = f"adis-gonio {__version__}"
             self._insert("runs", run, self.utc(), bus_s, clock_offset_s, continues, software)
-        self._run = run
+        self.run = run
         return run
 
     def add_record(self, kind: str, value: Any, bus_s: float) -> None:
@@ -703,7 +700,7 @@ class Archive(ArchiveView):
             row |= {name: getattr(first, name) for name in ("registers", "variant", "gyro_range_dps")}
         with self._transaction():
             number = self._next("attempts", "attempt")
-            row |= {"attempt": number, "run": self._run}
+            row |= {"attempt": number, "run": self.run}
             self._insert("attempts", *(row[column.name] for column in schema.TABLES["attempts"]))
             for sequence, (phase, block) in enumerate(attempt.blocks):
                 words, time_s = to_bytes(block), block.time_s.astype("<f8").tobytes()
@@ -717,7 +714,7 @@ class Archive(ArchiveView):
 
     def _record(self, kind: str, value: Any, bus_s: float) -> None:
         number = self._next("records", "record")
-        self._insert("records", number, self._run, self.utc(), bus_s, kind, value)
+        self._insert("records", number, self.run, self.utc(), bus_s, kind, value)
 
     def _next(self, table: str, key: str) -> int:
         (largest,) = self._connection.execute(f"SELECT coalesce(max({key}), 0) FROM {table}").fetchone()
@@ -745,5 +742,5 @@ class Archive(ArchiveView):
 
     def _require_own_run(self) -> None:
         (latest,) = self._connection.execute("SELECT max(run) FROM runs").fetchone()
-        if not self._run or latest != self._run:
+        if not self.run or latest != self.run:
             raise SessionError(f"{self.path}: another program has resumed this session; this program stops")

@@ -97,11 +97,6 @@ class SamplesTable:
     def __len__(self) -> int:
         return self._rows
 
-    @property
-    def file(self) -> str:
-        """Name of the file, for messages."""
-        return self.head.path.name
-
     def line_of(self, row: int) -> int:
         """Return the line number in the file, from 1, of a row of the table."""
         return self._lines[row]
@@ -111,7 +106,7 @@ class SamplesTable:
         return self._fail_line(self.line_of(row), message)
 
     def _fail_line(self, line: int, message: str) -> DataError:
-        return DataError(f"{self.file}, row {line}: {message}")
+        return DataError(f"{self.head.path.name}, row {line}: {message}")
 
     def number(self, name: str, text: str) -> float:
         """Convert the text of a cell to a number in the format's unit; `ValueError` if it is no number.
@@ -311,7 +306,9 @@ class SamplesTable:
             that they may be milliseconds.
         """
         if not len(self):
-            raise DataError(f"{self.file}: the header in row {self.head.line} is followed by no sample")
+            raise DataError(
+                f"{self.head.path.name}: the header in row {self.head.line} is followed by no sample"
+            )
         if self._doubtful is not None and not self._proved:
             _, cell, line = self._doubtful
             bare, as_fraction = cell.replace(self._decimal, ""), cell.replace(",", ".")

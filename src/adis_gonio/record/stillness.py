@@ -159,6 +159,11 @@ class NoiseMeter:
         Length of a window in samples.
     expected_mg : float
         Estimate of the noise of a sample behind the filter in mg; ten times this estimate counts as motion.
+
+    Attributes
+    ----------
+    mean_mg, spread_mg : (3,) float
+        Mean of the latest window, and standard deviation within it; 0 before the first window.
     """
 
     def __init__(self, window: int, expected_mg: float) -> None:
@@ -167,16 +172,7 @@ class NoiseMeter:
         self.least_samples = window * (METER_WINDOWS + 1) // 2
         self._spreads: list[Floats] = []
         self._means: list[Floats] = []
-
-    @property
-    def mean_mg(self) -> Floats:
-        """Mean (3,) of the latest window, in mg."""
-        return self._means[-1] if self._means else np.zeros(len(AXES))
-
-    @property
-    def spread_mg(self) -> Floats:
-        """Standard deviation (3,) within the latest window, in mg."""
-        return self._spreads[-1] if self._spreads else np.zeros(len(AXES))
+        self.mean_mg, self.spread_mg = np.zeros(len(AXES)), np.zeros(len(AXES))
 
     def feed(self, accel_mg: Floats) -> Floats | None:
         """Add samples (n, 3) in mg; return their noise (3,) in mg once it is known, until then None.
@@ -187,8 +183,9 @@ class NoiseMeter:
             An axis is stuck: it does not change at all.
         """
         for _, window in self._windows.feed(accel_mg):
-            self._spreads = [*self._spreads, window.std(axis=0, ddof=1)][-METER_WINDOWS:]
-            self._means = [*self._means, window.mean(axis=0)][-METER_WINDOWS:]
+            self.mean_mg, self.spread_mg = window.mean(axis=0), window.std(axis=0, ddof=1)
+            self._spreads = [*self._spreads, self.spread_mg][-METER_WINDOWS:]
+            self._means = [*self._means, self.mean_mg][-METER_WINDOWS:]
         spreads = np.array(self._spreads)
         if len(spreads) >= STUCK_LOOKS:  # below rounding of float64, so not one LSB of change
             stuck = np.flatnonzero((spreads[-STUCK_LOOKS:] < 1e-6).all(axis=0))

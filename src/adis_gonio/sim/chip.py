@@ -175,6 +175,12 @@ class SimulatedChip:
         Row of the variants table for this chip.
     external_levels : tuple of int, int
         External levels on DIO1 and DIO2, read if the line is an input.
+    memory : Memory
+        The chip's registers, for access without frames.
+    state : State
+        Activity of the chip at the time up to which it was simulated.
+    time_s, update_period_s : float
+        Time up to which the chip has been simulated, and time between two internal updates of the outputs.
 
     Raises
     ------
@@ -210,30 +216,20 @@ class SimulatedChip:
         self._pulse_s = data_ready_pulse_s
         self._update_edge = update_edge
         self._falling = FALLING_BITS if status_falls else 0
-        self._memory = Memory(flash, endurance)
+        self.memory = Memory(flash, endurance)
         self._electronics: sampling.Electronics = (
             electronics or getattr(surroundings, "electronics", None) or sampling.IDEAL
         )
-        self._sampler = sampling.SignalChain(self.variant, self._memory, self._electronics)
+        self._sampler = sampling.SignalChain(self.variant, self.memory, self._electronics)
         self._k = self._updates = self._status = self._standing = self._dac = 0
         self._reply = self._shifted = self._null_count = self._edges = 0
-        self._state = State.STARTING
-        self._time_s = start_s
+        self.state = State.STARTING
+        self.time_s = start_s
         self._last_start = self._last_rise = -math.inf
         self._start_up(start_s)
-        self._memory.changed = self._follow_registers
+        self.memory.changed = self._follow_registers
 
     # -- access past the serial port ---------------------------------------------------------------
-
-    @property
-    def state(self) -> State:
-        """Activity of the chip at the time up to which it was simulated."""
-        return self._state
-
-    @property
-    def memory(self) -> Memory:
-        """The chip's registers, for access without frames."""
-        return self._memory
 
     @property
     def aux_dac_v(self) -> float:
@@ -241,19 +237,9 @@ class SimulatedChip:
         return self._dac * 2.5 / 4095
 
     @property
-    def update_period_s(self) -> float:
-        """Time in s between two internal updates of the outputs."""
-        return self._period
-
-    @property
     def data_ready_enabled(self) -> bool:
         """True if DIO1 or DIO2 carries the data-ready pulse."""
-        return bool(_MISC.field("data_ready").of(self._memory["MSC_CTRL"]))
-
-    @property
-    def time_s(self) -> float:
-        """Time in s up to which the chip has been simulated."""
-        return self._time_s
+        return bool(_MISC.field("data_ready").of(self.memory["MSC_CTRL"]))
 
     @property
     def pending_reply(self) -> int:
@@ -261,13 +247,13 @@ class SimulatedChip:
 
         Models of a bridge need it before the frame.
         """
-        if self._state in (State.STARTING, State.RESTORING, State.ASLEEP, State.DEAD):
+        if self.state in (State.STARTING, State.RESTORING, State.ASLEEP, State.DEAD):
             return self.floating_word
         return self._reply
 
     def run_to(self, time_s: float) -> None:
         """Simulate the chip up to a time in s; a time that is already simulated does nothing."""
-        if time_s > self._time_s:
+        if time_s > self.time_s:
             self._advance(time_s)
 
     def data_ready_edges(self, time_s: float) -> int:
@@ -282,20 +268,20 @@ class SimulatedChip:
         end before then (a start-up, a flash update) are completed.
         """
         self.run_to(after_s)
-        while self._state not in _SAMPLING:
+        while self.state not in _SAMPLING:
             if math.isinf(self._until):
                 return None
             after_s = max(after_s, self._until)
             self.run_to(after_s)
-        count = math.floor((after_s - self._epoch) / self._period + _EDGE_TOLERANCE)
-        return self._epoch + (count + 1) * self._period
+        count = math.floor((after_s - self._epoch) / self.update_period_s + _EDGE_TOLERANCE)
+        return self._epoch + (count + 1) * self.update_period_s
 
     def edge_after_update_s(self, *, rising: bool) -> float:
         """Return the time in s from an update to the rising or falling edge of its data-ready pulse.
 
         It is negative if the edge comes before the update.
         """
-        high = bool(BY_NAME["MSC_CTRL"].field("polarity").of(self._memory["MSC_CTRL"]))
+        high = bool(BY_NAME["MSC_CTRL"].field("polarity").of(self.memory["MSC_CTRL"]))
         begins = high == rising
         at_first = 0.0 if self._update_edge == "first" else -self._pulse_s
         return at_first if begins else at_first + self._pulse_s
@@ -309,7 +295,7 @@ class SimulatedChip:
         if update_s is None:
             return None
         edge_s = update_s + self.edge_after_update_s(rising=rising)
-        return edge_s if edge_s > after_s else edge_s + self._period
+        return edge_s if edge_s > after_s else edge_s + self.update_period_s
 
     def dio(self, time_s: float) -> tuple[int | None, int | None]:
         """Return the levels (0 or 1) that the chip drives on DIO1 and DIO2 at a time in s.
@@ -317,16 +303,16 @@ class SimulatedChip:
         The level of an input is None.
         """
         self.run_to(time_s)
-        since = time_s - (self._epoch + self._k * self._period)
+        since = time_s - (self._epoch + self._k * self.update_period_s)
         if self._update_edge == "last":
-            since += self._pulse_s - self._period
-        pulse = self._state in _SAMPLING and self._k > 0 and 0 <= since < self._pulse_s
-        return dio_levels(self._memory, pulse=pulse, status=self._status)
+            since += self._pulse_s - self.update_period_s
+        pulse = self.state in _SAMPLING and self._k > 0 and 0 <= since < self._pulse_s
+        return dio_levels(self.memory, pulse=pulse, status=self._status)
 
     def hard_reset(self, time_s: float) -> None:
         """End a reset by the RST line at a time in s; the start-up of 150 ms follows."""
         self.run_to(time_s)
-        self._start_up(max(time_s, self._time_s))
+        self._start_up(max(time_s, self.time_s))
 
     # -- frames -----------------------------------------------------------------------------------
 
@@ -358,9 +344,9 @@ class SimulatedChip:
         UsageError
             The frame begins before the last frame.
         """
-        if start_s < self._last_start or start_s < self._time_s - TOLERANCE_S:
+        if start_s < self._last_start or start_s < self.time_s - TOLERANCE_S:
             raise UsageError(
-                f"frame at {start_s:.9g} s: the chip is already simulated until {self._time_s:.9g} s"
+                f"frame at {start_s:.9g} s: the chip is already simulated until {self.time_s:.9g} s"
             )
         self._advance(start_s)
         rise = start_s + bits / clock_hz + cs_hold_s
@@ -400,12 +386,12 @@ class SimulatedChip:
         answers are as fast because the frames are few.
         """
         first = float(starts[0])
-        if first < max(self._last_start, self._time_s - TOLERANCE_S):
+        if first < max(self._last_start, self.time_s - TOLERANCE_S):
             return 0
         if self._until <= first:
             self._advance(first)
-        limits = serial_limits(self._memory["SMPL_PRD"])
-        if self._state is not State.RUNNING or not limits.clock_ok(clock_hz):
+        limits = serial_limits(self.memory["SMPL_PRD"])
+        if self.state is not State.RUNNING or not limits.clock_ok(clock_hz):
             return 0
         starts = starts[:_CHUNK]
         rises = starts + 16 / clock_hz
@@ -413,7 +399,7 @@ class SimulatedChip:
         period = np.diff(starts, prepend=self._last_start)
         kept = (stall >= limits.stall_s - TOLERANCE_S) & (period >= limits.period_s - TOLERANCE_S)
         n = len(starts) if kept.all() else int(np.argmin(kept))
-        done = np.floor((rises[:n] - self._epoch) / self._period + _EDGE_TOLERANCE).astype(np.int64)
+        done = np.floor((rises[:n] - self._epoch) / self.update_period_s + _EDGE_TOLERANCE).astype(np.int64)
         index = done - self._k
         n = int(np.searchsorted(index, _CHUNK, side="right"))
         if n < _SHORTEST_FAST_RUN:
@@ -426,7 +412,7 @@ class SimulatedChip:
             rows = np.concatenate([rows, updates.words])
             stood = np.concatenate([status, updates.status])
             status = stood & self._falling | np.bitwise_or.accumulate(stood & ~self._falling)
-        self._time_s = float(rises[n - 1])
+        self.time_s = float(rises[n - 1])
         # Words that the reads return, with the flags ND (new data) and EA (error or alarm).
         slots = words[:n] >> np.uint16(9)
         values: Words = rows[index, _COLUMN[slots]]
@@ -452,7 +438,7 @@ class SimulatedChip:
     def _answer(
         self, word: int, bits: int, clock_hz: float, cs_hold_s: float, stall: float, period: float
     ) -> int:
-        limits = serial_limits(self._memory["SMPL_PRD"])
+        limits = serial_limits(self.memory["SMPL_PRD"])
         refused = self._refusal(bits, clock_hz, stall, limits)
         if refused is not None:
             return refused
@@ -461,7 +447,7 @@ class SimulatedChip:
             self._status |= _SPI_FAILED
             reply = self._shifted
         self._advance(self._last_rise)
-        if self._state is State.NULLING:
+        if self.state is State.NULLING:
             reset = word & _COMMAND.field("reset").mask
             if word >> 15 and (word >> 8) & 0x3F == _COMMAND.address and reset:
                 self._start_up(self._last_rise)
@@ -478,17 +464,17 @@ class SimulatedChip:
         It ignores frames while it is not running, and frames that are broken. `bits` is the number of
         clocks, `stall` the time in s before the frame, `limits` are the limits of the present speed mode.
         """
-        if self._state in (State.STARTING, State.RESTORING):
-            self._state, self._until = State.DEAD, math.inf
-        if self._state is State.DEAD:
+        if self.state in (State.STARTING, State.RESTORING):
+            self.state, self._until = State.DEAD, math.inf
+        if self.state is State.DEAD:
             return self.floating_word
-        if self._state is State.ASLEEP:
-            self._state, self._until = State.WAKING, self._last_rise + WAKE_S
+        if self.state is State.ASLEEP:
+            self.state, self._until = State.WAKING, self._last_rise + WAKE_S
             return self.floating_word
-        if self._state in (State.FLASHING, State.WAKING):
+        if self.state in (State.FLASHING, State.WAKING):
             return self._reply
         if stall < limits.stall_s - TOLERANCE_S:
-            self._state, self._until = State.DEAD, math.inf
+            self.state, self._until = State.DEAD, math.inf
             return self.floating_word
         if bits == 0:
             return self._reply
@@ -507,7 +493,7 @@ class SimulatedChip:
                 word, self._status = self._status, 0
                 return word
             return self._control_word(address)
-        if self._state is State.TESTING:
+        if self.state is State.TESTING:
             return EA if self._status else 0
         word = int(self._row[column]) | (EA if self._status else 0)
         if self._updates > self._read_at[column]:
@@ -517,16 +503,16 @@ class SimulatedChip:
 
     def _control_word(self, address: int) -> int:
         if address & ~1 == BY_NAME["GPIO_CTRL"].address:
-            word = self._memory["GPIO_CTRL"]
+            word = self.memory["GPIO_CTRL"]
             for k, level in enumerate(self.external_levels, 1):
                 if not _GPIO.field(f"output{k}").of(word):  # an input shows the external level of the line
                     mask = _GPIO.field(f"level{k}").mask
                     word = word | mask if level else word & ~mask
             return word
-        return self._memory.at(address)
+        return self.memory.at(address)
 
     def _write(self, address: int, data: int, cs_hold_s: float, limits: SerialLimits) -> None:
-        row = self._memory.write_byte(address, data)
+        row = self.memory.write_byte(address, data)
         if row is None:
             return
         now = self._last_rise
@@ -534,13 +520,13 @@ class SimulatedChip:
             if not address & 1:
                 self._command(data, now)
             return
-        if self._state is not State.RUNNING:
+        if self.state is not State.RUNNING:
             return
-        if row.name == "MSC_CTRL" and self._memory["MSC_CTRL"] & _SELF_TEST:
-            self._state, self._until = State.TESTING, now + SELF_TEST_S
-        elif row.name == "SLP_CNT" and self._memory["SLP_CNT"] and cs_hold_s <= limits.sleep_cs_s:
-            self._state = State.ASLEEP
-            self._until = now + SLEEP_UNIT_S * (self._memory["SLP_CNT"] & 0xFF)
+        if row.name == "MSC_CTRL" and self.memory["MSC_CTRL"] & _SELF_TEST:
+            self.state, self._until = State.TESTING, now + SELF_TEST_S
+        elif row.name == "SLP_CNT" and self.memory["SLP_CNT"] and cs_hold_s <= limits.sleep_cs_s:
+            self.state = State.ASLEEP
+            self._until = now + SLEEP_UNIT_S * (self.memory["SLP_CNT"] & 0xFF)
 
     def _command(self, data: int, now: float) -> None:
         """Execute a write of `data` to COMMAND at the time `now` in s.
@@ -549,20 +535,20 @@ class SimulatedChip:
         """
         if data & _COMMAND.field("reset").mask:
             self._start_up(now)
-        elif self._state is not State.RUNNING:
+        elif self.state is not State.RUNNING:
             return
         elif data & _COMMAND.field("restore").mask:
             for name in (*GYRO_OFF, *ACCEL_OFF):
-                self._memory[name] = 0
-            self._state, self._until = State.RESTORING, now + FLASH_S
+                self.memory[name] = 0
+            self.state, self._until = State.RESTORING, now + FLASH_S
         elif data & _COMMAND.field("autonull").mask:
             self._begin_null(now, self._electronics.autonull_s)
         elif data & _COMMAND.field("precision_autonull").mask:
             self._begin_null(now, self._electronics.precision_autonull_s)
         elif data & _COMMAND.field("flash_update").mask:
-            self._state, self._until = State.FLASHING, now + FLASH_S
+            self.state, self._until = State.FLASHING, now + FLASH_S
         elif data & _COMMAND.field("latch_dac").mask:
-            self._dac = self._memory["AUX_DAC"]
+            self._dac = self.memory["AUX_DAC"]
 
     def _begin_null(self, now: float, average_s: float) -> None:
         """Start an autonull at the time `now` in s that averages the gyros for `average_s`.
@@ -571,18 +557,18 @@ class SimulatedChip:
         """
         if average_s:
             self._null_sum, self._null_count = np.zeros(3), 0
-            self._state, self._until = State.NULLING, now + average_s
+            self.state, self._until = State.NULLING, now + average_s
             return
         self._null(self._sampler.gyro_mean())
-        self._state, self._until = State.FLASHING, now + FLASH_S
+        self.state, self._until = State.FLASHING, now + FLASH_S
 
     # -- time ---------------------------------------------------------------------------------------
 
     def _start_up(self, now: float) -> None:
-        self._state, self._until = State.STARTING, now + START_UP_S
+        self.state, self._until = State.STARTING, now + START_UP_S
         self._status = self._standing = self._dac = 0
         self._reply = self._shifted = self._updates = 0
-        self._memory.load()
+        self.memory.load()
         self._read_at: NDArray[np.int64] = np.zeros(len(sampling.OUTPUTS), np.int64)
         self._row: Words = np.zeros(len(sampling.OUTPUTS), np.uint16)
         self._null_sum, self._null_count = np.zeros(3), 0
@@ -594,17 +580,17 @@ class SimulatedChip:
         The settings of the filter and the ranges are taken over. If SMPL_PRD has changed, the updates
         restart.
         """
-        self._sampler.configure(self._memory)
-        if self._memory["SMPL_PRD"] != self._smpl_prd:
-            self._restart_sampling(self._time_s, empty=True)
+        self._sampler.configure(self.memory)
+        if self.memory["SMPL_PRD"] != self._smpl_prd:
+            self._restart_sampling(self.time_s, empty=True)
 
     def _restart_sampling(self, now: float, *, empty: bool = False) -> None:
-        self._smpl_prd = self._memory["SMPL_PRD"]
+        self._smpl_prd = self.memory["SMPL_PRD"]
         self._epoch, self._k = now, 0
-        self._period = update_period_s(self._memory["SMPL_PRD"])
+        self.update_period_s = update_period_s(self.memory["SMPL_PRD"])
         if empty:
             self._sampler.clear()
-        self._sampler.configure(self._memory)
+        self._sampler.configure(self.memory)
 
     def _advance(self, time_s: float) -> None:
         while self._until <= time_s:
@@ -612,49 +598,49 @@ class SimulatedChip:
             self._sample_to(end)
             self._finish(end)
         self._sample_to(time_s)
-        self._time_s = max(self._time_s, time_s)
+        self.time_s = max(self.time_s, time_s)
 
     def _finish(self, now: float) -> None:
         """End the activity of the chip at the time `now` in s, and begin the activity that follows it."""
-        state, self._state, self._until = self._state, State.RUNNING, math.inf
+        state, self.state, self._until = self.state, State.RUNNING, math.inf
         if state in (State.FLASHING, State.RESTORING):
             self._save()
         elif state is State.TESTING:
-            self._memory["MSC_CTRL"] = self._memory["MSC_CTRL"] & ~_SELF_TEST
+            self.memory["MSC_CTRL"] = self.memory["MSC_CTRL"] & ~_SELF_TEST
             for name in self._failures:
                 self._status |= SELF_TEST_BITS[name]
         elif state is State.NULLING:
             self._null(self._null_sum / max(self._null_count, 1))
-            self._state, self._until = State.FLASHING, now + FLASH_S
+            self.state, self._until = State.FLASHING, now + FLASH_S
             return
         elif state is State.ASLEEP:
-            self._state, self._until = State.WAKING, now + WAKE_S
+            self.state, self._until = State.WAKING, now + WAKE_S
             return
         elif state is State.WAKING:
-            self._memory["SLP_CNT"] = 0
+            self.memory["SLP_CNT"] = 0
         self._restart_sampling(now, empty=state is State.WAKING)
 
     def _save(self) -> None:
         if self._standing & _SUPPLY_LOW:
             self._status |= _STATUS.field("flash").mask
         else:
-            self._memory.save()
+            self.memory.save()
 
     def _null(self, mean: Floats) -> None:
         for name, number in zip(GYRO_OFF, self._sampler.null_offset(mean), strict=True):
-            self._memory[name] = BY_NAME[name].word(number)
+            self.memory[name] = BY_NAME[name].word(number)
 
     def _sample_to(self, time_s: float) -> None:
-        if self._state not in _SAMPLING:
+        if self.state not in _SAMPLING:
             return
-        wanted = math.floor((time_s - self._epoch) / self._period + _EDGE_TOLERANCE)
+        wanted = math.floor((time_s - self._epoch) / self.update_period_s + _EDGE_TOLERANCE)
         while self._k < wanted:
             self._take(min(wanted - self._k, _CHUNK))
 
     def _take(self, n: int) -> sampling.Updates:
         """Simulate the next n internal updates and return their outputs."""
         count = np.arange(self._k + 1, self._k + n + 1, dtype=np.float64)
-        times = self._epoch + count * self._period
+        times = self._epoch + count * self.update_period_s
         updates = self._sampler.update(self._surroundings.sample(times))
         self._standing = int(updates.status[-1])
         kept = (self._status | int(np.bitwise_or.reduce(updates.status))) & ~self._falling
@@ -664,7 +650,7 @@ class SimulatedChip:
         self._updates += n
         if self.data_ready_enabled:
             self._edges += n
-        if self._state is State.NULLING:
+        if self.state is State.NULLING:
             self._null_sum += updates.unfiltered[:, sampling.GYRO_COLUMNS].sum(axis=0)
             self._null_count += n
         return updates

@@ -33,7 +33,7 @@ from adis_gonio.model.measurement import FreeAttitude, sensitivity
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.sim.gyros import PAIRS, REFERENCE_C, Dies, GyroTriad, apply_matrix, value_or
 from adis_gonio.sim.noise import Flicker
-from adis_gonio.sim.sampling import Electronics, Inputs
+from adis_gonio.sim.sampling import Inputs
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.stage import Motion, Stage
 
@@ -98,6 +98,7 @@ class World:
             self.settings, float(np.radians(self._hidden["alpha"])), fixture, streams[7], streams[9]
         )
         self.gyros = GyroTriad(self.settings, self.variant.performance, self._gyro_bias, streams[8])
+        self.electronics = self.gyros.electronics
         self._dies = Dies(self.settings)
         # Position of each accelerometer (rows): of the sensor on the stage, and within the sensor.
         self._lever_m = 1e-3 * np.tile([self.settings.lever_x_mm, self.settings.lever_y_mm, 0.0], (3, 1))
@@ -236,11 +237,6 @@ class World:
             for parameter, value in zip(effect.parameters, values, strict=True):
                 result[f"{effect.name}.{parameter.name}"] = float(value)
         return result
-
-    @property
-    def electronics(self) -> Electronics:
-        """Properties of the electronics that a chip with these gyros and accelerometers has."""
-        return self.gyros.electronics
 
     def temperature_c(self, time_s: Floats) -> Floats:
         """Return the temperature (n,) of the sensor in °C at times (n,) in s.

@@ -19,14 +19,12 @@ import threading
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
-from typing import cast
 
 from adis_gonio.base import Closing
 from adis_gonio.base.errors import CannotOpenError, UsageError
 from adis_gonio.device.bus.opening import BusUrl
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.sim.bus import SimBus, SimStage, open_from_url as _open_bus
-from adis_gonio.sim.chip import SimulatedChip
 from adis_gonio.sim.testing.faults import Faults, FaultyBus, FaultyStream
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
 from adis_gonio.sim.testing.pins import ChipPins, WorkClock
@@ -38,33 +36,24 @@ DEFAULT_URL = "sim:?seed=1"
 class SimulatedSensor(Adis16354):
     """The driver with a simulated chip; `open_simulated` or the fixture `simulated_sensor` opens it.
 
-    Host code calls the methods of the driver; a test also uses `stage`, `world`, `chip`, `truth` and
-    `faulty`. Time is virtual: moves, dwells and waits cost nothing.
+    Host code calls the methods of the driver. Time is virtual: moves, dwells and waits cost nothing.
+
+    Attributes
+    ----------
+    faulty : FaultyBus
+        Bus of the driver, which corrupts frames by its `faults`; `faults.seen` counts the faults.
+    stage : SimStage
+        Simulated stage: `move_to(angle_deg, approach)` in the plane, `orient((x, y, z))` in space.
+    world : World
+        The simulated world of the sensor; `bring_to` heats the sensor or sets the supply.
+    chip : SimulatedChip
+        Simulated chip of the sensor, for access without frames.
     """
 
-    @property
-    def faulty(self) -> FaultyBus:
-        """Bus of the driver, which corrupts frames by its `faults`; `faults.seen` counts the faults."""
-        return cast(FaultyBus, self.bus)
-
-    @property
-    def _simulated(self) -> SimBus:
-        return cast(SimBus, self.faulty.inner)
-
-    @property
-    def stage(self) -> SimStage:
-        """Simulated stage: `move_to(angle_deg, approach)` in the plane, `orient((x, y, z))` in space."""
-        return self._simulated.stage
-
-    @property
-    def world(self) -> World:
-        """The simulated world of the sensor; `bring_to` heats the sensor or sets the supply."""
-        return self._simulated.world
-
-    @property
-    def chip(self) -> SimulatedChip:
-        """Simulated chip of the sensor, for access without frames."""
-        return self._simulated.chip
+    def __init__(self, bus: SimBus, *, check: bool = True) -> None:
+        self.faulty = FaultyBus(bus)
+        self.stage, self.world, self.chip = bus.stage, bus.world, bus.chip
+        super().__init__(self.faulty, bus.world.variant, check=check)
 
     def truth(self) -> dict[str, float]:
         """Return the true parameters of the simulated sensor by the names that a fit uses.
@@ -113,8 +102,7 @@ def open_simulated(
     UsageError
         The URL belongs to another bus, or has an unknown option.
     """
-    bus = simulated_bus(url)
-    sensor = SimulatedSensor(FaultyBus(bus), bus.world.variant, check=check)
+    sensor = SimulatedSensor(simulated_bus(url), check=check)
     sensor.faulty.faults = _own_copy(faults)
     return sensor
 
@@ -150,6 +138,10 @@ class SimulatedBoard(Closing):
     ----------
     path : str
         Name of the port that a program opens: a device such as `/dev/pts/3`.
+    url : str
+        Bus URL of the board, for functions of this package such as `open_sensor`.
+    chip : SimulatedChip
+        The simulated chip that is connected to the board.
 
     Raises
     ------
@@ -166,7 +158,7 @@ class SimulatedBoard(Closing):
     ) -> None:
         if not isinstance(firmware.pins.clock, WorkClock):
             raise UsageError("a board runs in real time: give its firmware a WorkClock")
-        self.firmware = firmware
+        self.firmware, self.chip = firmware, firmware.pins.chip
         self.faults = faults or Faults()
         self._world = world
         self._clock = firmware.pins.clock
@@ -175,20 +167,11 @@ class SimulatedBoard(Closing):
         except (OSError, ImportError) as error:
             raise CannotOpenError(f"no pty on this machine for a simulated board: {error}") from None
         self.path = self._line.path
+        self.url = f"serial:{self.path}"
         self.lock = threading.Lock()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._pump, name="simulated board", daemon=True)
         self._thread.start()
-
-    @property
-    def url(self) -> str:
-        """Bus URL of the board, for functions of this package such as `open_sensor`."""
-        return f"serial:{self.path}"
-
-    @property
-    def chip(self) -> SimulatedChip:
-        """The simulated chip that is connected to the board."""
-        return self.firmware.pins.chip
 
     @property
     def world(self) -> World:
