@@ -17,12 +17,11 @@ from adis_gonio.base.arrays import Floats, rotation_matrices, unit_directions
 from adis_gonio.base.errors import UsageError
 from adis_gonio.device.sensor.registers import Performance
 from adis_gonio.model.effects.base import AXES, lagged
+from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
 from adis_gonio.sim.noise import RateWalk
 from adis_gonio.sim.sampling import Electronics
 from adis_gonio.sim.settings import WorldSettings
 
-REFERENCE_C = 25.0
-REFERENCE_V = 5.0
 PAIRS = tuple(a + b for a, b in itertools.product(AXES, repeat=2))
 
 

@@ -29,9 +29,10 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.device.sensor.registers import Variant, variant
 from adis_gonio.model.effects.base import AXES, Conditions, Effect, Enters
+from adis_gonio.model.effects.sensor_terms import REFERENCE_C
 from adis_gonio.model.measurement import FreeAttitude, sensitivity
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
-from adis_gonio.sim.gyros import PAIRS, REFERENCE_C, Dies, GyroTriad, apply_matrix, value_or
+from adis_gonio.sim.gyros import PAIRS, Dies, GyroTriad, apply_matrix, value_or
 from adis_gonio.sim.noise import Flicker
 from adis_gonio.sim.sampling import Inputs
 from adis_gonio.sim.settings import WorldSettings

@@ -707,18 +707,16 @@ def _drifting(
     `covariance` (p, p) of the parameters includes the uncertainty of the choice of the model. `errors` are
     the errors (n, 3) with which each model predicts left-out dwells, by name of the model.
     """
-    warnings, names = [], best.determined[0]
-    order = "in this order of poses force cannot be fully separated from a"
+    names, order = best.determined[0], "in this order of poses force cannot be fully separated from a"
+    warnings, again = [], "repeat poses in another order"
+    sensitivities = [name for name in names if name.startswith("g_")]
     for word in DRIFTS:
         one = models.get(_with(word))
         if one is None:
             continue
-        open_ = [name for name in names if name.startswith("g_") and name not in one.determined[0]]
-        if open_:
-            warnings.append(
-                f"{order} {word}: with one in the model {', '.join(_kinds(open_))} cannot be determined;"
-                " repeat poses in another order"
-            )
+        if open_ := [name for name in sensitivities if name not in one.determined[0]]:
+            lost = ", ".join(_kinds(open_))
+            warnings.append(f"{order} {word}: with one in the model {lost} cannot be determined; {again}")
         if one is best:
             u = [float(np.sqrt((errors[name] ** 2).mean())) for name in (_with(word), METHOD)]
             warnings.append(
@@ -727,10 +725,7 @@ def _drifting(
             )
     # More than half of the variance is the choice.
     unsure = np.diagonal(covariance) > 2 * np.diagonal(best.determined[2])
-    moved = [name for name, one in zip(names, unsure, strict=True) if one and name.startswith("g_")]
-    if moved:
-        warnings.append(
-            f"{order} drift of the zero rate: u of {', '.join(_kinds(moved))} includes the difference;"
-            " repeat poses in another order"
-        )
+    if moved := _kinds([name for name in sensitivities if unsure[names.index(name)]]):
+        u_of = ", ".join(moved)
+        warnings.append(f"{order} drift of the zero rate: u of {u_of} includes the difference; {again}")
     return warnings

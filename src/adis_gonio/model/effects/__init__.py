@@ -81,8 +81,9 @@ def catalogue(part: str | None = None) -> dict[str, type[Effect]]:
         found[point.name] = kind
     if part is None:
         return found
-    own = {name: kind.of_part(part) for name, kind in found.items()}
-    return {name: kind for name, kind in own.items() if kind is not None}
+    if part in gyro_terms.GYRO:
+        found["outlier_dwell"] = gyro_terms.GyroOutlierDwell
+    return {name: kind for name, kind in found.items() if part in kind.parts}
 
 
 @cache

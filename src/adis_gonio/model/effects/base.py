@@ -401,14 +401,6 @@ class Effect(ABC):
         """Names of the fields of the effect other than `axes`; their values are whole numbers."""
         return tuple(f.name for f in fields(cls) if f.init and f.name != "axes")
 
-    @classmethod
-    def of_part(cls, part: str) -> type[Effect] | None:
-        """Return the class of the effect for a part of the sensor; None if the effect does not occur there.
-
-        `part` is `accelerometer` or `gyro`.
-        """
-        return cls if part in cls.parts else None
-
     @property
     @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:

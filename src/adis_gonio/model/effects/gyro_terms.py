@@ -334,6 +334,3 @@ class GyroOutlierDwell(OutlierDwell):
 
     coefficients = (Parameter("offset", "dps", -300.0, 300.0, 0.1),)
     parts = GYRO
-
-
-OutlierDwell.elsewhere["gyro"] = GyroOutlierDwell

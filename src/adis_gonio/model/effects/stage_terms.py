@@ -504,13 +504,6 @@ class OutlierDwell(LinearAxisEffect):
     not_corrected = OF_DWELL
     needs = ("order",)
     coefficients = (Parameter("offset", "mg", -4000.0, 4000.0, 5.0),)
-    elsewhere: ClassVar[dict[str, type[Effect]]] = {}
-    """Classes of the effect for other parts than accelerometers, by part; their units differ."""
-
-    @classmethod
-    def of_part(cls, part: str) -> type[Effect] | None:
-        """Return the class of this effect for one part of the sensor; None if no class is for this part."""
-        return super().of_part(part) or cls.elsewhere.get(part)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
         """Return the indicator (n,): 1 for rows of the disturbed dwell, 0 for all other rows."""
