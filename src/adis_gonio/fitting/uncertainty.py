@@ -38,6 +38,7 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import typical_terms
 from adis_gonio.model.effects import Enters
+from adis_gonio.model.measurement import PlanarTurn
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 Kind = Literal["A", "B"]
@@ -764,7 +765,7 @@ class ShownAngle:
         between gravity and X.
         """
         gradient = gradient_of_base(fit.values.base, zero=bool(fit.data.visible[0]))
-        return cls(gradient, -np.degrees(_by_reading(fit, _around())))
+        return cls(gradient, -np.degrees(_by_reading(fit.values.base, _around()) / fit.data.gravity_mg))
 
     @classmethod
     def at_dwells(cls, fit: Fit) -> ShownAngle:
@@ -774,7 +775,7 @@ class ShownAngle:
         of terms) and with respect to the reading.
         """
         psi = fit.values.base[0] + fit.turn_rad + fit.values.attitude
-        slope = _by_reading(fit, psi)
+        slope = _by_reading(fit.values.base, psi) / fit.data.gravity_mg
         gradient = np.einsum("na,nap->np", slope, fit.columns)
         return cls(np.degrees(gradient), -np.degrees(slope))
 
@@ -802,16 +803,13 @@ def gradient_of_base(base: Floats, *, zero: bool) -> Floats:
         True if angles are declared, so that α is part of the calibrated angle; otherwise its derivative is
         0.
     """
-    _, k_x, k_y, skew = base
-    psi = _around()
-    x, y = np.cos(psi), np.sin(psi + skew)
-    by_x, by_y = _by_axis(psi, skew)
-    gradient = np.zeros((PLACES, len(base) + 2))
-    gradient[:, 0] = 1.0 if zero else 0.0
-    gradient[:, 1] = by_x * x / k_x
-    gradient[:, 2] = by_y * y / k_y
-    gradient[:, 3] = x * (x - y * math.sin(skew)) / math.cos(skew) ** 2
-    gradient[:, 4], gradient[:, 5] = by_x / k_x, by_y / k_y
+    psi, model = _around(), PlanarTurn(1.0)
+    # Derivatives of the readings, in local gravity, by the base parameters and by both biases.
+    by_base = model.columns(base, np.zeros(PLACES), psi - base[0])
+    columns = np.concatenate([by_base, np.tile(np.eye(2), (PLACES, 1, 1))], axis=2)
+    gradient = np.einsum("ma,map->mp", _by_reading(base, psi), columns)
+    if not zero:
+        gradient[:, 0] = 0.0
     return np.asarray(np.degrees(gradient))
 
 
@@ -819,16 +817,11 @@ def _around() -> Floats:
     return np.linspace(0, 2 * math.pi, PLACES, endpoint=False)
 
 
-def _by_axis(psi: Floats, skew: float) -> tuple[Floats, Floats]:
-    """Return the derivatives of the angle ψ (rad) by the scaled readings U_x/(G K_x) and U_y/(G K_y).
+def _by_reading(base: Floats, psi: Floats) -> Floats:
+    """Return the derivative (m, 2) of the angle ψ (m,) by each reading, in rad per local gravity.
 
-    `skew` is Δφ in rad.
+    `base` (4,) are the base parameters of the plane.
     """
-    return -np.sin(psi) - np.cos(psi) * math.tan(skew), np.cos(psi) / math.cos(skew)
-
-
-def _by_reading(fit: Fit, psi: Floats) -> Floats:
-    """Return the derivative (m, 2) of the angle ψ (m,) by the reading of each axis, in rad per mg."""
-    _, k_x, k_y, skew = fit.values.base
-    by_x, by_y = _by_axis(psi, float(skew))
-    return np.asarray(np.stack([by_x / k_x, by_y / k_y], axis=1) / fit.data.gravity_mg)
+    _, k_x, k_y, skew = base
+    by_x = -(np.sin(psi) + np.cos(psi) * math.tan(skew)) / k_x
+    return np.asarray(np.stack([by_x, np.cos(psi) / math.cos(skew) / k_y], axis=1))

@@ -33,11 +33,12 @@ from adis_gonio.base.conformity import ErrorCurve, Tolerance, Verdict
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import INLINE, JsonRecord, key
 from adis_gonio.base.numbers import NAMES, counted, format_uncertain
+from adis_gonio.fitting.uncertainty import PLACES, gradient_of_base
 from adis_gonio.fleet.sensor_history import LEAST, YEAR_DAYS, Drift, History, date_of, own_u
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 PARAMETERS = ("delta_k", "delta_phi", "bias_x", "bias_y")
-_TURN = np.arange(0.0, 360.0, 5.0)
+_TURN = np.linspace(0.0, 360.0, PLACES, endpoint=False)
 
 
 def slopes_deg(gravity_mps2: float = STANDARD_GRAVITY_MPS2) -> Floats:
@@ -46,12 +47,9 @@ def slopes_deg(gravity_mps2: float = STANDARD_GRAVITY_MPS2) -> Floats:
     The errors are in degrees at m angles over a full turn. The parameters are `PARAMETERS`: ΔK (1), Δφ (°),
     biases of X and Y (mg). `gravity_mps2` is the local gravity.
     """
-    psi = np.radians(_TURN)
     gravity_mg = 1000.0 * gravity_mps2 / STANDARD_GRAVITY_MPS2
-    cos, sin = np.cos(psi), np.sin(psi)
-    return np.column_stack(
-        [np.degrees(-sin * cos), cos**2, np.degrees(-sin / gravity_mg), np.degrees(cos / gravity_mg)]
-    )
+    perfect = gradient_of_base(np.array([0.0, 1.0, 1.0, 0.0]), zero=False)
+    return perfect[:, [1, 3, 4, 5]] * [1.0, math.radians(1.0), 1 / gravity_mg, 1 / gravity_mg]
 
 
 def curve_of(
