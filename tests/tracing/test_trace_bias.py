@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +12,7 @@ from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.model.effects import effect
 from adis_gonio.model.records import Dwell, Session
+from adis_gonio.tracing import findings
 from adis_gonio.tracing.findings import bias_at_middle, differs_from_zero, finding_of, zeros_of
 from adis_gonio.tracing.trace import ZERO_OF_COUNTS, trace
 from calibrate.sessions import planar_session
@@ -49,9 +49,8 @@ def test_a_bias_that_trades_with_a_warm_up_is_told_from_zero_by_its_value_in_the
 def test_the_trace_judges_a_bias_by_its_value_in_the_middle(monkeypatch):
     """What it withdraws as no larger than its uncertainty is withdrawn for that of the middle."""
     judged = []
-    module = sys.modules["adis_gonio.tracing.trace"]
-    monkeypatch.setattr(module, "bias_at_middle", lambda _, finding: judged.append(finding) or finding)
-    monkeypatch.setattr(module, "differs_from_zero", lambda finding: finding.effect != "bias")
+    monkeypatch.setattr(findings, "bias_at_middle", lambda _, finding: judged.append(finding) or finding)
+    monkeypatch.setattr(findings, "differs_from_zero", lambda finding: finding.effect != "bias")
     result = adis_gonio.trace(planar_session(np.random.default_rng(2)))
     assert "bias" in {finding.effect for finding in judged}
     assert "no larger than" in result.reasons["bias"]

@@ -114,10 +114,10 @@ def test_a_dwell_that_was_left_out_is_not_predicted_by_its_own_slip() -> None:
 )
 def test_the_model_is_the_longest_that_is_not_worse_than_nothing(errors, count: int) -> None:
     names = Names(("bias", "quadratic", "cubic"), {}, ())
-    kept, left, reasons = never_worse(names, names.accepted, errors, None)
+    kept, left = never_worse(names, names.accepted, errors, None)
     assert kept == count
     assert left.accepted == names.accepted[:count]
-    assert set(reasons) == set(names.accepted[count:])
+    assert set(left.rejected) == set(names.accepted[count:])
     assert set(left.confounded) == {(name,) for name in names.accepted[count:]}
 
 
@@ -125,10 +125,10 @@ def test_stated_errors_are_compared_with_each_other_and_not_with_those_of_other_
     names = Names(("bias", "quadratic"), {}, ())
     errors = (2.0, 0.5, 0.1)
     assert never_worse(names, names.accepted, errors, (9.0, 4.0))[0] == 2
-    count, left, reasons = never_worse(names, names.accepted, errors, (3.0, 4.0))
+    count, left = never_worse(names, names.accepted, errors, (3.0, 4.0))
     assert count == 1
     assert left.accepted == ("bias",)
-    assert reasons == {"quadratic": "the held-out error would go from 3 to 4 mg with it"}
+    assert left.rejected == {"quadratic": "the held-out error would go from 3 to 4 mg with it"}
 
 
 def test_models_with_amplitudes_that_no_part_has_take_no_share_of_the_posterior() -> None:

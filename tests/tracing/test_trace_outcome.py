@@ -712,15 +712,12 @@ class TestWhatHasNoName:
         for adequate in (True, False):
             assert unnamed_of(replace(selection, adequate=adequate), None) is None
 
-    def test_its_share_is_that_of_its_steps_or_at_most_what_they_leave(self) -> None:
-        unnamed = Unnamed(("time",), "a form", 0.5, 0.9, 0.01)
+    def test_its_share_is_that_of_its_steps(self) -> None:
+        unnamed = Unnamed(("time",), "a form", 0.0, 0.9, 0.01)
         stepped = unnamed_with_share(unnamed, {"bias": 0.7, "unnamed: a": 0.1, "unnamed: b": 0.05})
         assert stepped is not None
         assert stepped.explains == pytest.approx(0.15)
-        for taken, left in ((0.7, 0.3), (0.2, 0.5), (1.2, 0.0)):
-            told = unnamed_with_share(unnamed, {"bias": taken})
-            assert told is not None
-            assert told.explains == pytest.approx(left)
+        assert unnamed_with_share(unnamed, {"bias": 0.7}) == unnamed
         assert unnamed_with_share(None, {"unnamed: a": 0.1}) is None
 
 

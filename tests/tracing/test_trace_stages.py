@@ -23,6 +23,7 @@ from adis_gonio.fitting.estimation.readings import Readings, Unit, in_mg
 from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.fitting.slips import Diagnosis
 from adis_gonio.model.records import Dwell, Session
+from adis_gonio.tracing import validation
 from adis_gonio.tracing.credible_sets import CredibleSet, Names
 from adis_gonio.tracing.scatter import Scatter
 from adis_gonio.tracing.selection import Selection
@@ -82,7 +83,8 @@ class Told:
             "error_figures": figures,
             "undecided": lambda _: could,
         }.items():
-            self.monkeypatch.setattr(stages, name, stage)
+            module = stages if hasattr(stages, name) else validation
+            self.monkeypatch.setattr(module, name, stage)
         self.monkeypatch.setattr("adis_gonio.tracing.proposals.advise", advise)
         return trace_readings(data, 2)
 
@@ -357,7 +359,7 @@ class TestGuard:
         to_go = {(): ["wave"], ("wave",): ["line"], ("wave", "line"): []}
         monkeypatch.setattr(stages.TraceRun, "nest", nest)
         monkeypatch.setattr(
-            stages, "refuted_functions", lambda selection, fits, errors: to_go[selection.gone]
+            validation, "refuted_functions", lambda selection, fits, errors: to_go[selection.gone]
         )
         run = stages.TraceRun(biased(), 3, None)
         run.selection = model()

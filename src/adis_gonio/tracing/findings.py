@@ -355,16 +355,12 @@ def shares(steps: Sequence[str], excess: Sequence[float]) -> dict[str, float]:
 def unnamed_with_share(unnamed: Unnamed | None, of_step: dict[str, float]) -> Unnamed | None:
     """Return the unnamed part (None if there is none) with its share of the base model's excess χ².
 
-    If no step added an unnamed term, `unnamed` keeps its share, but at most the part that the steps leave
-    unexplained. `of_step` are the shares of all effects.
+    It is the share of the steps that added an unnamed term. `of_step` are the shares of all effects.
     """
     if unnamed is None:
         return None
     known = catalogue()
-    nameless = [name for name in of_step if name not in known]
-    if nameless:
-        return replace(unnamed, explains=sum(of_step[name] for name in nameless))
-    return replace(unnamed, explains=min(unnamed.explains, max(1.0 - sum(of_step.values()), 0.0)))
+    return replace(unnamed, explains=sum((of_step[name] for name in of_step if name not in known), 0.0))
 
 
 @dataclass(frozen=True)

@@ -34,24 +34,9 @@ from adis_gonio.fitting.slips.session_positions import failure_message, position
 from adis_gonio.model.effects import catalogue
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of
+from adis_gonio.tracing import findings, validation
 from adis_gonio.tracing.averaging import average
 from adis_gonio.tracing.credible_sets import CredibleSet, credible_sets, judge, merge_by_function, undecided
-from adis_gonio.tracing.findings import (
-    base_of,
-    bias_at_middle,
-    detectable,
-    differs_from_zero,
-    excesses,
-    finding_of,
-    in_units_of_file,
-    notes_of,
-    rivals_of,
-    scatter_finding,
-    shares,
-    unnamed_of,
-    unnamed_with_share,
-    zeros_of,
-)
 from adis_gonio.tracing.grammar import nameless_terms
 from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.scatter import Scatter, beside_unknown_cause, with_scatter
@@ -65,18 +50,6 @@ from adis_gonio.tracing.trace_result import (
     Stopped,
     TraceResult,
     Unnamed,
-)
-from adis_gonio.tracing.validation import (
-    Fold,
-    disagreement_p_value,
-    error_figures,
-    guard_errors,
-    nest_fits,
-    never_worse,
-    refuted_functions,
-    reject_names,
-    reject_unchecked,
-    without_folds,
 )
 from adis_gonio.tracing.what_if import FREE, AskedModel, bought_by_terms, compare
 
@@ -231,8 +204,6 @@ class TraceRun:
         Accepted, rejected and confounded names of the model.
     findings : list of Finding
         Findings for the accepted names.
-    reasons : mapping of str to str
-        For each rejected name, the reason.
     """
 
     def __init__(
@@ -300,7 +271,7 @@ class TraceRun:
         them, the functions stay, and the model will be shortened.
         """
         self.nest(self.selection)
-        while gone := refuted_functions(self.selection, self.fits, self.errors):
+        while gone := validation.refuted_functions(self.selection, self.fits, self.errors):
             if current().left_out:
                 break
             before = dict(vars(self))
@@ -320,12 +291,12 @@ class TraceRun:
             lambda: None if self.closed else average(selection),
             None,
         )
-        self.fold = Fold.of(selection, self.terms, self.averaged, self.max_effects)
-        self.fits, self.steps = nest_fits(selection, self.averaged)
+        self.fold = validation.Fold.of(selection, self.terms, self.averaged, self.max_effects)
+        self.fits, self.steps = validation.nest_fits(selection, self.averaged)
         unguarded: list[float | None] = [None for _ in self.fits]
         self.errors = attempt(
             "the choice of the longest model that is never worse",
-            lambda: guard_errors(selection, self.fits, self.fold),
+            lambda: validation.guard_errors(selection, self.fits, self.fold),
             unguarded,
         )
 
@@ -341,7 +312,7 @@ class TraceRun:
                 lambda: beside_unknown_cause(self.selection, self.max_effects),
                 self.selection,
             )
-        self.names = reject_unchecked(judge(self.weighed, self.averaged), self.selection)
+        self.names = validation.reject_unchecked(judge(self.weighed, self.averaged), self.selection)
         if self.scatter is not None or not self.selection.adequate:
             could = undecided(self.selection)
             if len(could) > 1:
@@ -354,8 +325,10 @@ class TraceRun:
         """
         self.figures, self.design = attempt(
             "the error on held-out dwells, effects chosen again",
-            lambda: error_figures(self.selection, self.measured, self.checking, self.fits, self.fold),
-            without_folds(self.fits, self.measured, self.checking),
+            lambda: validation.error_figures(
+                self.selection, self.measured, self.checking, self.fits, self.fold
+            ),
+            validation.without_folds(self.fits, self.measured, self.checking),
         )
 
     def shorten(self) -> None:
@@ -365,7 +338,9 @@ class TraceRun:
         """
         least, unit = len(self.forced), self.measured.model.unit
         reported = reported_errors(self.figures[least:]) if self.checking is None else None
-        count, self.names, cut = never_worse(self.names, self.steps, self.errors, reported, unit, least)
+        count, self.names = validation.never_worse(
+            self.names, self.steps, self.errors, reported, unit, least
+        )
         self.shortened = count < len(self.steps)
         if self.shortened:
             # All nested models already have their figures, so the longer ones are only dropped.
@@ -376,7 +351,6 @@ class TraceRun:
                 [k for k in self.selection.verdict.best if terms[k] in inside]
             )
             self.averaged = None
-        self.reasons = cut
 
     def judge_findings(self) -> None:
         """Turn accepted names into findings, reject weak findings, and test the model on `check` dwells."""
@@ -386,7 +360,7 @@ class TraceRun:
         # A forced term was asked for, and not found.
         own = {*self.forced, *(() if self.data.unit.known else ("bias",))}
         accepted = [n for n in self.names.accepted if n not in own]
-        findings = [finding_of(final, name, self.averaged, judged) for name in accepted]
+        seen = [findings.finding_of(final, name, self.averaged, judged) for name in accepted]
         places = credible_sets(judged, self.averaged)
         known = {term.name for term in self.terms}
         self.sets = tuple(
@@ -397,12 +371,11 @@ class TraceRun:
             and (one.names[0] in known or self.functions_checked)
         )
         self.likelier = likelier_functions(self.sets, self.terms)
-        at_middle = [bias_at_middle(final, finding) for finding in findings]
+        at_middle = [findings.bias_at_middle(final, finding) for finding in seen]
         weak = weak_names(at_middle, self.figures[-1], self.likelier)
-        self.names = reject_names(replace(self.names, rejected={**self.names.rejected, **weak}), weak)
-        self.reasons = {**self.names.rejected, **self.reasons}
-        self.findings = [finding for finding in findings if finding.effect not in weak]
-        self.notes = list(notes_of(self.selection, self.scatter))
+        self.names = validation.reject_names(self.names, weak)
+        self.findings = [finding for finding in seen if finding.effect not in weak]
+        self.notes = list(findings.notes_of(self.selection, self.scatter))
         plain = all(term.constant for term in final.terms)
         tested = final.fit.dof >= (1 if plain else limits.least_checks) or not noise_known
         self.adequate = final.adequate and self.scatter is None and tested
@@ -422,7 +395,7 @@ class TraceRun:
 
         If no fold could check it, its probability is limited to the threshold for accepting a name.
         """
-        found = unnamed_of(self.selection, self.averaged, self.judged)
+        found = findings.unnamed_of(self.selection, self.averaged, self.judged)
         if found is None or self.functions_checked:
             return found
         return replace(found, probability=min(found.probability, limits.certain))
@@ -430,7 +403,7 @@ class TraceRun:
     def finished(self) -> TraceResult:
         """Return the result of a completed trace, with advice for the next session."""
         selection, final = self.selection, self.final
-        of_step = shares(self.steps, excesses(self.fits, self.figures))
+        of_step = findings.shares(self.steps, findings.excesses(self.fits, self.figures))
         seen = shown_findings(self.findings, self.data, self.scatter, of_step)
         nothing: tuple[tuple[str, ...], tuple[NextDwell, ...]] = ((), ())
         open_still = replace(selection, adequate=self.adequate)
@@ -439,23 +412,23 @@ class TraceRun:
             lambda: self.advice(open_still),
             nothing,
         )
-        zeros = zeros_of(final)
+        zeros = findings.zeros_of(final)
         part = self.measured.model.part
         return self._result(
             adequate=self.adequate and self.measured.noise_known,
             found=seen,
             sets=merge_by_function(self.sets, self.likelier),
             confounded=self.names.confounded,
-            unnamed=unnamed_with_share(self.unnamed, of_step),
+            unnamed=findings.unnamed_with_share(self.unnamed, of_step),
             detectable={
-                **detectable(selection.found, selection.verdict.best, self.missing, part),
+                **findings.detectable(selection.found, selection.verdict.best, self.missing, part),
                 **({"bias": ZERO_OF_COUNTS} if len(zeros) == self.data.axes else {}),
             },
             advice=advice,
             measurements=measurements,
-            base={**base_of(final), **zeros},
+            base={**findings.base_of(final), **zeros},
             bought=partial(bought_by_terms, selection, self.fits, self.fold, self.checking),
-            reasons=self.reasons,
+            reasons=self.names.rejected,
             notes=tuple(self.notes),
         )
 
@@ -478,7 +451,7 @@ class TraceRun:
             unnamed=None,
             detectable={},
             advice=("trace again with more time, or without a limit",),
-            base=base_of(self.final),
+            base=findings.base_of(self.final),
             reasons=dict.fromkeys(open_, UNCHECKED),
             stopped=Stopped.of(current(), checked=False),
         )
@@ -493,7 +466,7 @@ class TraceRun:
             steps=tuple(Step(label, error) for label, error in steps),
             before=self.figures[0],
             after=self.figures[-1],
-            rivals=rivals_of(self.selection),
+            rivals=findings.rivals_of(self.selection),
             heldout_design=self.design,
             fits=(*self.fits[:-1], final.fit),
             inflation=final.inflation,
@@ -502,17 +475,17 @@ class TraceRun:
 
 
 def shown_findings(
-    findings: Sequence[Finding], data: Readings, scatter: Scatter | None, of_step: dict[str, float]
+    found: Sequence[Finding], data: Readings, scatter: Scatter | None, of_step: dict[str, float]
 ) -> tuple[Finding, ...]:
     """Return the findings for the result, in the file's units and with the share that each explains.
 
     `of_step` are these shares by effect. Scatter, if any, is the last finding, with the remaining share.
     """
-    stated = (in_units_of_file(finding, data.unit) for finding in findings)
+    stated = (findings.in_units_of_file(finding, data.unit) for finding in found)
     seen = tuple(replace(finding, explains=of_step.get(finding.effect, 0.0)) for finding in stated)
     if scatter is None:
         return seen
-    return (*seen, scatter_finding(scatter, max(1.0 - sum(of_step.values()), 0.0)))
+    return (*seen, findings.scatter_finding(scatter, max(1.0 - sum(of_step.values()), 0.0)))
 
 
 def search_model(
@@ -552,13 +525,13 @@ def likelier_functions(sets: Sequence[CredibleSet], terms: Sequence[Term]) -> di
 
 
 def weak_names(
-    findings: Sequence[Finding], final: ErrorFigures, likelier: Mapping[str, str]
+    found: Sequence[Finding], final: ErrorFigures, likelier: Mapping[str, str]
 ) -> dict[str, str]:
     """Return the effects that must not be reported as found, each with the reason.
 
     Parameters
     ----------
-    findings : sequence of Finding
+    found : sequence of Finding
         Findings for the accepted names.
     final : ErrorFigures
         Errors of the final model.
@@ -566,7 +539,7 @@ def weak_names(
         For each name that an unnamed function replaces with higher probability, this function.
     """
     weak = {}
-    for finding in findings:
+    for finding in found:
         if finding.effect in likelier:
             weak[finding.effect] = f"more probable in its place: {likelier[finding.effect]}"
         elif finding.probability < limits.certain:
@@ -577,14 +550,14 @@ def weak_names(
             )
         elif final.heldout_rms is None and finding.effect != "bias":
             weak[finding.effect] = "no dwell could be held out to check it"
-        elif not differs_from_zero(finding):
+        elif not findings.differs_from_zero(finding):
             weak[finding.effect] = "its values are no larger than their own uncertainty"
     return weak
 
 
 def disagreement_of(final: Selection, checking: Readings) -> list[str]:
     """Return a note if the check dwells contradict the final model, in a list; else an empty list."""
-    p = disagreement_p_value(final.fit, checking, final.inflation)
+    p = validation.disagreement_p_value(final.fit, checking, final.inflation)
     if p >= limits.adequate:
         return []
     return [

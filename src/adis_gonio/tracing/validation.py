@@ -566,17 +566,18 @@ def reject_unchecked(names: Names, selection: Selection) -> Names:
         return names
     open_ = [name for name in names.accepted if name != "bias"]
     reasons = dict.fromkeys(open_, f"the model leaves {dof} readings to check it by: too few")
-    return reject_names(replace(names, rejected={**names.rejected, **reasons}), reasons)
+    return reject_names(names, reasons)
 
 
 def reject_names(names: Names, reasons: dict[str, str]) -> Names:
-    """Return the names with the accepted names in `reasons` moved to the confounded names.
+    """Return the names with those in `reasons` rejected.
 
-    Each moved name is a group of its own in `Names.confounded`.
+    Each name that was accepted is then a group of its own in `Names.confounded`.
     """
     more = tuple((name,) for name in reasons if name in names.accepted)
     accepted = tuple(name for name in names.accepted if name not in reasons)
-    return Names(accepted, names.rejected, tuple(dict.fromkeys((*names.confounded, *more))))
+    rejected = {**names.rejected, **reasons}
+    return Names(accepted, rejected, tuple(dict.fromkeys((*names.confounded, *more))))
 
 
 def longest_acceptable(errors: Sequence[float | None], most: int, least: int = 0) -> int:
@@ -616,7 +617,7 @@ def never_worse(
     reported: tuple[float, float] | None,
     unit: str = "mg",
     least: int = 0,
-) -> tuple[int, Names, dict[str, str]]:
+) -> tuple[int, Names]:
     """Find the longest nested model whose held-out error is hardly larger than any shorter model's.
 
     Hardly larger means at most `limits.worse` times as large. `unit` is the unit of the errors in the
@@ -636,12 +637,12 @@ def never_worse(
 
     Returns
     -------
-    The number of steps to keep, the remaining names, and the reasons of the rejected names.
+    The number of steps to keep, and the names without those of the other steps.
     """
     last = len(steps)
     known = [error for error in errors if error is not None]
     if len(known) < len(errors):
-        return last, names, {}
+        return last, names
     stated_worse = reported is not None and reported[1] > limits.worse * reported[0]
     count = longest_acceptable(known, last - 1 if last > least and stated_worse else last, least)
     cut = set(steps) - set(steps[:count])
@@ -651,7 +652,7 @@ def never_worse(
     reasons = dict.fromkeys(
         sorted(cut), f"the held-out error would go from {before:.3g} to {after:.3g} {unit} with it"
     )
-    return count, reject_names(names, reasons), reasons
+    return count, reject_names(names, reasons)
 
 
 def disagreement_p_value(fit: Fit, others: Readings, inflation: float = 1.0) -> float:
