@@ -202,15 +202,38 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
         default: float | None = None,
         dies: int = 1,
     ) -> Floats | None:
-        """Return a condition, such as the temperature, for each of n readings, (n, dies); None if unknown.
+        """Return a condition, such as a temperature, for each of n readings, (n, dies); None if unknown.
 
-        `name` is the condition and `given` its values (`checked_condition`). If `given` is None, the result
-        is the mean of the session if the calibration depends on this condition and the session recorded it
-        (`covered`), else `default`.
+        Parameters
+        ----------
+        name : str
+            Name of the condition.
+        given : float, (n,) or (n, dies) float, optional
+            Value for all readings, or one for each reading and each gyro die. If it is None, the result is
+            the mean of the session (`covered`) if the calibration depends on this condition and the session
+            recorded it, else `default`.
+
+        Raises
+        ------
+        UsageError
+            No numbers, wrong shape, NaN or infinity.
         """
         if covered is not None and name in self.needs:
             default = covered.mean
-        return checked_condition(name, given, n, default, dies)
+        if given is None:
+            return None if default is None else np.full((n, dies), default)
+        values = _numbers(name, given)
+        if not np.isfinite(values).all():
+            raise UsageError(f"{name} holds NaN or infinity")
+        if values.ndim < 2 and values.size in (1, n):
+            rows = values.reshape(-1, 1)
+        elif dies > 1 and (values.shape == (n, dies) or (n == 1 and values.shape == (dies,))):
+            rows = values.reshape(n, dies)
+        else:
+            raise UsageError(
+                f"{name} has shape {values.shape}; give one number, or one for each of {n} readings"
+            )
+        return np.broadcast_to(rows, (n, dies)).copy()
 
     def _moved(self, by: Mapping[str, float]) -> tuple[Coefficient, ...]:
         """Return a copy of the parameters with the amounts `by` (by name) added to their values."""
@@ -226,12 +249,19 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
         The variance is NaN if there is no covariance. `difference` subtracts two results, such as angles on
         a circle.
         """
-        value = function(self.values)
+        return function(self.values), np.asarray((self._rises(function, difference) ** 2).sum(axis=-1))
+
+    def _rises(
+        self, function: Callable[[Floats], Floats], difference: Callable[[Floats, Floats], Floats]
+    ) -> Floats:
+        """Return the change (…, k) of a function of the parameters by each of k independent causes.
+
+        Each cause changes the parameters by one standard uncertainty. NaN if there is no covariance.
+        """
         if self.covariance is None:
-            return value, np.full(value.shape, np.nan)
+            return np.full((*function(self.values).shape, 1), np.nan)
         changes = independent_changes(self.covariance)
-        rises = central_differences(function, self.values, STEP, changes, difference)
-        return value, np.asarray((rises**2).sum(axis=-1))
+        return central_differences(function, self.values, STEP, changes, difference)
 
 
 def independent_changes(covariance: Floats) -> Floats:
@@ -280,45 +310,6 @@ def checked_rows(name: str, given: ArrayLike, columns: tuple[int, ...], unit: st
     if bad.size:
         raise UsageError(f"{name}: reading {int(bad[0])} holds NaN or infinity; leave lost scans out")
     return rows, values.ndim == 1
-
-
-def checked_condition(
-    name: str, given: ArrayLike | None, n: int, default: float | None, dies: int = 1
-) -> Floats | None:
-    """Convert a condition, such as a temperature, to one value for each of n readings.
-
-    Parameters
-    ----------
-    name : str
-        Name of the condition in messages.
-    given : float, (n,) or (n, dies) float, optional
-        Value for all readings, or one for each reading and each gyro die; if it is None, all readings get
-        the value `default`.
-
-    Returns
-    -------
-    (n, dies) float or None
-        Values of the condition; None if neither a value nor a default is given.
-
-    Raises
-    ------
-    UsageError
-        No numbers, wrong shape, NaN or infinity.
-    """
-    if given is None:
-        return None if default is None else np.full((n, dies), default)
-    values = _numbers(name, given)
-    if not np.isfinite(values).all():
-        raise UsageError(f"{name} holds NaN or infinity")
-    if values.ndim < 2 and values.size in (1, n):
-        rows = values.reshape(-1, 1)
-    elif dies > 1 and (values.shape == (n, dies) or (n == 1 and values.shape == (dies,))):
-        rows = values.reshape(n, dies)
-    else:
-        raise UsageError(
-            f"{name} has shape {values.shape}; give one number, or one for each of {n} readings"
-        )
-    return np.broadcast_to(rows, (n, dies)).copy()
 
 
 def checked_offsets(offsets_lsb: Sequence[int]) -> tuple[int, int, int]:
@@ -621,14 +612,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         start = stage and "alpha" in self
         sign, zero = (-1.0, self["alpha"].value) if start else (1.0, 0.0)
         angle = self._angle_of(stage=start)
-        # Change of the angle by each independent cause, (m, k).
-        roots = central_differences(
-            lambda values: angle(values, readings, conditions),
-            self.values,
-            STEP,
-            independent_changes(self.covariance),
-            _turn_between,
-        )
+        roots = self._rises(lambda values: angle(values, readings, conditions), _turn_between)
         dof = min((one.dof for one in self.parameters if one.dof is not None), default=math.inf)
         raw = np.degrees(sign * wrap_radians(np.arctan2(readings[:, 1], readings[:, 0]) - psi))
         after = ErrorCurve(
@@ -786,7 +770,8 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         angle, variance = self._with_variance(
             lambda values: shown(values, readings, conditions), _turn_between
         )
-        for change in self._left_to_temperature(readings, temperature_c):
+        now_c = None if temperature_c is None else conditions.temperature_c
+        for change in self._left_to_temperature(readings, now_c):
             variance += _turn_between(shown(values, readings + change, conditions), angle) ** 2
         if reading_u is not None:
             u = np.asarray(reading_u, dtype=float)
@@ -807,21 +792,20 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         at = 0 if single else slice(None)
         return AngleReading(angle_deg[at], u_deg[at], assumed_c)
 
-    def _left_to_temperature(self, readings: Floats, temperature_c: ArrayLike | None) -> Iterator[Floats]:
+    def _left_to_temperature(self, readings: Floats, now_c: Floats | None) -> Iterator[Floats]:
         """Yield the change (n, axes) of readings by each temperature effect that is not corrected.
 
         It is the change from the mean temperature of the session to the temperature of the reading, if the
-        effect has its typical size. Nothing is yielded if the temperature of the readings is None or the
-        temperature of the session is unknown.
+        effect has its typical size. Nothing is yielded if the temperature `now_c` (n,) of the readings is
+        None or the temperature of the session is unknown.
         """
         session = self.provenance.temperature_c
-        now = checked_condition("temperature_c", temperature_c, len(readings), None)
-        if session is None or now is None:
+        if session is None or now_c is None:
             return
         ideal = readings / self.per_mg
         there, here = (
             Conditions(time_s=np.zeros(len(readings)), temperature_c=at)
-            for at in (np.full(len(readings), session.mean), now[:, 0])
+            for at in (np.full(len(readings), session.mean), now_c)
         )
         corrected = {term.effect.name for term in self.effects}
         for name, kind in catalogue().items():

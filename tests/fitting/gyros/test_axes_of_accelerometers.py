@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -88,6 +89,12 @@ def off(result):
     return error, np.array([value.u for value in found])
 
 
+def result_of(values, covariance):
+    """A fit that determined these parameters."""
+    parameters = tuple(SimpleNamespace(name=name, value=value) for name, value in values.items())
+    return SimpleNamespace(parameters=parameters, covariance=covariance)
+
+
 def test_modes_are_what_each_unknown_does_to_a_direction():
     """By plain geometry: Y's bias tilts the X-up vertical towards y by bias over g, a skew by itself."""
     axes = Axes.of((0.001, math.radians(0.1), 20.0))
@@ -101,14 +108,14 @@ def test_modes_are_what_each_unknown_does_to_a_direction():
     np.testing.assert_allclose(size["skew_yz"], 0, atol=1e-5)
     matrix = np.diag(np.arange(1.0, 10.0)) ** 2
     named = dict.fromkeys(NAMES, 0.0) | dict.fromkeys(NAMES[:3], 1.0)
-    known = Axes.of((1, 1, 1), (named, NAMES, matrix))
+    known = Axes.of((1, 1, 1), result_of(named, matrix))
     unit = np.array([1.0] * 3 + [math.radians(1.0)] * 3 + [1.0] * 3)
     np.testing.assert_allclose(known.factor @ known.factor.T, matrix * np.outer(unit, unit), rtol=1e-9)
 
 
 def test_of_two_sources_the_first_that_has_a_name_counts():
-    first = ({"bias_x": 5.0}, ["bias_x"], np.array([[0.04]]))
-    second = ({"bias_x": 9.0, "skew_xy": 0.3}, ["skew_xy", "bias_x"], np.diag([0.01, 1.0]))
+    first = result_of({"bias_x": 5.0}, np.array([[0.04]]))
+    second = result_of({"delta_phi": 0.3, "bias_x": 9.0}, np.diag([0.01, 1.0]))
     axes = Axes.of((0.001, 0.002, 50.0), first, second)
     assert axes.values[NAMES.index("bias_x")] == 5.0
     assert axes.values[NAMES.index("skew_xy")] == pytest.approx(math.radians(0.3))

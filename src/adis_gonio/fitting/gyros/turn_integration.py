@@ -45,7 +45,7 @@ about X, and nothing in turns about Y.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -71,6 +71,7 @@ from adis_gonio.model.records import Dwell, Session, Turn
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration
+    from adis_gonio.fitting import FitResult
 
 Series = tuple[Floats, Floats]
 """Times (n,) in s, and rates (n, 3) of the gyros in °/s."""
@@ -658,10 +659,6 @@ def steady_force(path: Path, begin_s: float, end_s: float) -> tuple[Floats, Floa
     return np.asarray(found[0]), covariance
 
 
-Source = tuple[Mapping[str, float], Sequence[str], "Floats | None"]
-"""Values of parameters by name as results state them (degrees, mg), names of parameters, and their
-covariance in the order of these names; None if it is unknown."""
-
 SKEWS = tuple(f"skew_{AXES[i]}{AXES[j]}" for i, j in SKEW_AXES)
 BIASES = tuple(f"bias_{axis}" for axis in AXES)
 NAMES = (*(f"scale_{axis}" for axis in AXES), *SKEWS, *BIASES)
@@ -705,25 +702,29 @@ class Axes:
     known: frozenset[str]
 
     @classmethod
-    def of(cls, prior: tuple[float, float, float], *sources: Source) -> Axes:
+    def of(cls, prior: tuple[float, float, float], *sources: FitResult | Calibration) -> Axes:
         """Combine sources of the nine parameters; if several state a parameter, the first counts.
 
         Parameters
         ----------
         prior : (float, float, float)
             Standard uncertainty of an unmeasured gain, skew in rad and bias in mg.
+        sources : FitResult or Calibration
+            Results with parameters and their covariance; one without a covariance does not count.
         """
         values = np.array([1.0] * 3 + [0.0] * 6)
         covariance, known = np.diag(np.repeat(np.array(prior, dtype=float), 3) ** 2), set[str]()
-        for found, order, matrix in sources:
+        for source in sources:
+            # Δφ of a result in the plane is the skew of X and Y.
+            order = ["skew_xy" if one.name == "delta_phi" else one.name for one in source.parameters]
             # Parameters that no earlier source has measured.
-            new = [k for k, name in enumerate(NAMES) if name in found and name not in known]
-            if matrix is None or not new:
+            new = [k for k, name in enumerate(NAMES) if name in order and name not in known]
+            if source.covariance is None or not new:
                 continue
-            values[new] = [found[NAMES[k]] * _NATURAL[k] for k in new]
-            rows = [list(order).index(NAMES[k]) for k in new]
+            rows = [order.index(NAMES[k]) for k in new]
+            values[new] = [source.parameters[row].value for row in rows] * _NATURAL[new]
             # Covariance of the new parameters, from the units of results to those used here.
-            block = np.asarray(matrix)[np.ix_(rows, rows)] * np.outer(_NATURAL[new], _NATURAL[new])
+            block = source.covariance[np.ix_(rows, rows)] * np.outer(_NATURAL[new], _NATURAL[new])
             covariance[np.ix_(new, new)] = block
             known |= {NAMES[k] for k in new}
         return cls(values, independent_changes(covariance).T, frozenset(known))
@@ -814,16 +815,9 @@ def triad_of(session: Session, calibration: Calibration | None = None) -> Triad:
     UsageError
         The calibration states no uncertainties.
     """
-    given: list[Source] = []
-    if calibration is not None:
-        if calibration.covariance is None:
-            raise UsageError(
-                "the calibration of the accelerometers states no uncertainties: fit one that does"
-            )
-        # Δφ of a calibration in the plane is the skew of X and Y.
-        stated = ["skew_xy" if one.name == "delta_phi" else one.name for one in calibration.parameters]
-        values = dict(zip(stated, calibration.values.tolist(), strict=True))
-        given.append((values, stated, calibration.covariance))
+    given = [] if calibration is None else [calibration]
+    if calibration is not None and calibration.covariance is None:
+        raise UsageError("the calibration of the accelerometers states no uncertainties: fit one that does")
     try:
         from adis_gonio.fitting import fit
         from adis_gonio.fitting.fit_result import calibration_as_recorded
@@ -837,11 +831,7 @@ def triad_of(session: Session, calibration: Calibration | None = None) -> Triad:
         return _triad_in_space(session, *given)
     u_mg = np.sqrt(np.diagonal(readings.covariance, axis1=1, axis2=2).mean(axis=0))
     if own is None:
-        names = [one.name for one in result.parameters]
-        found = {one.name: one.value for one in result.parameters}
-        return _triad_in_space(
-            session, (found, names, result.covariance), *given, noise_mg=float(u_mg.max())
-        )
+        return _triad_in_space(session, result, *given, noise_mg=float(u_mg.max()))
     shown = own.angle(readings.mean, reading_u=list(u_mg))
     biases_open = any(name.startswith("bias") for name in result.undetermined)
     unseen = math.degrees(UNKNOWN_BIAS_MG / session.gravity_mg) if biases_open else 0.0
@@ -854,7 +844,7 @@ def triad_of(session: Session, calibration: Calibration | None = None) -> Triad:
     )
 
 
-def _triad_in_space(session: Session, *sources: Source, noise_mg: float = 0.0) -> Triad:
+def _triad_in_space(session: Session, *sources: FitResult | Calibration, noise_mg: float = 0.0) -> Triad:
     """Make the triad of a session in space from `sources` of its nine parameters.
 
     Parameters without a source have the spread that the data sheet gives for this family of sensors.
