@@ -45,7 +45,13 @@ from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.fitting.fit_result import FitResult, Origin, Output, outputs_of, result_of
 from adis_gonio.fitting.linked import linked_readings
 from adis_gonio.fitting.slips.session_positions import failure_message, positions_of
-from adis_gonio.fitting.uncertainty import Sources, by_rotation_of, response_of, sources_of
+from adis_gonio.fitting.uncertainty import (
+    Sources,
+    by_rotation_of,
+    columns_in_plane,
+    response_of,
+    sources_of,
+)
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of
 
@@ -463,23 +469,15 @@ def _linear(chosen: Readings, weights: Floats, *, bias: bool) -> _Linear:
             "the declared angles do not determine cosine, sine and zero of a turn; spread the positions "
             "over it (0°, 90°, 180°, 270°)"
         )
-    # Pseudo-inverse times averaging: harmonics are linear in the readings.
-    inverse = np.linalg.pinv(design) @ weights
-    harmonics = inverse @ natural
-    (a_x, a_y), (b_x, b_y) = harmonics[:2]
-    beta = turn_parameters(harmonics)
-    derivative = np.zeros((6, len(chosen), 2))
-    k_x, k_y = beta[SCALE_X], beta[SCALE_Y]
-    if min(k_x, k_y) < 1e-3:
+    beta = turn_parameters(np.linalg.pinv(design) @ weights @ natural)
+    if min(beta[SCALE_X], beta[SCALE_Y]) < 1e-3:
         raise SingularError("an axis does not follow the rotation; check the declared angles and the plane")
-    # Derivatives of atan2 and hypot of the harmonics, by the chain rule.
-    derivative[ALPHA, :, 0] = (a_x * inverse[1] - b_x * inverse[0]) / k_x**2
-    derivative[DELTA_PHI, :, 0] = -derivative[ALPHA, :, 0]
-    derivative[DELTA_PHI, :, 1] = (a_y * inverse[1] - b_y * inverse[0]) / k_y**2
-    derivative[SCALE_X, :, 0] = (a_x * inverse[0] + b_x * inverse[1]) / k_x
-    derivative[SCALE_Y, :, 1] = (a_y * inverse[0] + b_y * inverse[1]) / k_y
-    if bias:
-        derivative[BIAS_X, :, 0] = derivative[BIAS_Y, :, 1] = inverse[2]
+    # The parameters follow the mean readings by the pseudo-inverse of the readings' derivatives.
+    fitted = 6 if bias else BIAS_X
+    slopes = columns_in_plane(beta[:BIAS_X], -theta)[:, :, :fitted]
+    by_mean = np.linalg.pinv(slopes.reshape(-1, fitted)).reshape(fitted, -1, 2)
+    derivative = np.zeros((6, len(chosen), 2))
+    derivative[:fitted] = np.einsum("pka,kn->pna", by_mean, weights)
     return _Linear(beta, derivative, bias)
 
 

@@ -803,14 +803,21 @@ def gradient_of_base(base: Floats, *, zero: bool) -> Floats:
         True if angles are declared, so that α is part of the calibrated angle; otherwise its derivative is
         0.
     """
-    psi, model = _around(), PlanarTurn(1.0)
-    # Derivatives of the readings, in local gravity, by the base parameters and by both biases.
-    by_base = model.columns(base, np.zeros(PLACES), psi - base[0])
-    columns = np.concatenate([by_base, np.tile(np.eye(2), (PLACES, 1, 1))], axis=2)
-    gradient = np.einsum("ma,map->mp", _by_reading(base, psi), columns)
+    psi = _around()
+    gradient = np.einsum("ma,map->mp", _by_reading(base, psi), columns_in_plane(base, psi - base[0]))
     if not zero:
         gradient[:, 0] = 0.0
     return np.asarray(np.degrees(gradient))
+
+
+def columns_in_plane(base: Floats, turn_rad: Floats) -> Floats:
+    """Return the derivative (m, 2, 6) of m readings of a turn by α, K_x, K_y, Δφ and both biases.
+
+    Readings and biases are in local gravity, angles in rad. `base` (4,) are α, K_x, K_y and Δφ; the stage
+    has turned the part by `turn_rad` (m,).
+    """
+    by_base = PlanarTurn(1.0).columns(base, np.zeros(len(turn_rad)), turn_rad)
+    return np.concatenate([by_base, np.tile(np.eye(2), (len(turn_rad), 1, 1))], axis=2)
 
 
 def _around() -> Floats:
