@@ -115,7 +115,7 @@ def test_a_value_where_no_dwell_was_found_is_counted(tmp_path):
 def test_two_values_within_a_dwell_are_refused(tmp_path):
     rows = recording(lambda _, k, __: k in (0, 50))
     rows[51]["angle_deg"] = "7"
-    with pytest.raises(DataError, match=r"row 54: angle_deg changes within a dwell from '0' to '7'"):
+    with pytest.raises(DataError, match=r"row 54: angle_deg changes within a dwell from 0.0 to 7.0"):
         read_samples_csv(write(tmp_path / "a.csv", rows))
 
 

@@ -106,7 +106,7 @@ def test_every_key_and_column_is_read(tmp_path):
         ("0.1,0,x,2000,101", 3, "is not an angle"),
         ("0.1,zero,0,2000,101", 3, "is not an integer"),
         ("0.1,1e300,0,2000,101", 3, "is not an integer"),
-        ("0.1,0,1e300,2000,101", 3, "is no angle"),
+        ("0.1,0,1e300,2000,101", 3, "is not an angle"),
         ("0.1,0,0,-1e308,101", 3, "too large"),
         ("0.1,0,0,-1e11,101", 3, "too large"),
     ],

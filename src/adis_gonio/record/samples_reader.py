@@ -18,8 +18,8 @@ from __future__ import annotations
 import math
 import re
 from array import array
-from bisect import bisect_right
-from collections.abc import Callable, Iterator, Sequence
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
@@ -52,8 +52,9 @@ _SWAPPED = str.maketrans(",.", ".,")
 """Exchange of point and comma, after which only a number with a decimal comma is one of Python's."""
 _SLOWEST_S = 2.0
 """Median step of the rows in s from which a time without a unit may be in ms, so that it is refused."""
-Texts = list[tuple[int, str]]
-"""Texts in a column, each with its row."""
+Runs = list[tuple[int, Any]]
+"""Values of a column with one value for each dwell, each with the first row of its run; None if empty."""
+_SIGNS = {"0": 0, "+1": 1, "1": 1, "+1.0": 1, "1.0": 1, "-1": -1, "-1.0": -1}
 
 
 class SamplesTable:
@@ -68,8 +69,9 @@ class SamplesTable:
     ----------
     series : dict of str to (n,), (n, 2) or (n, 3) float
         Samples by the fields of a `Dwell`, without fields that the file lacks; complete after `finish`.
-    runs : dict of str to list of (int, str)
-        Columns with one value for each dwell: first row and text of each run of equal text.
+    runs : dict of str to list of (int, value)
+        Columns with one value for each dwell: first row and value of each run of equal text, None if it is
+        empty; complete after `finish`.
     notes : list of str
         Remarks on the head and on rows that were left out.
     """
@@ -77,7 +79,7 @@ class SamplesTable:
     def __init__(self, head: samples_header.Head) -> None:
         self.head, self.notes = head, list(head.notes)
         self.series: dict[str, Floats] = {}
-        self.runs: dict[str, Texts] = {name: [] for name in head.columns if COLUMNS[name].per_dwell}
+        self.runs: dict[str, Runs] = {name: [] for name in head.columns if COLUMNS[name].per_dwell}
         present = {name: [m for m in members if m in head.columns] for name, members in SERIES.items()}
         # Arrays that grow at their end without a copy, row after row.
         self._numbers = {name: (members, array("d")) for name, members in present.items() if members}
@@ -108,14 +110,6 @@ class SamplesTable:
     def _fail_line(self, line: int, message: str) -> DataError:
         return DataError(f"{self.head.path.name}, row {line}: {message}")
 
-    def number(self, name: str, text: str) -> float:
-        """Convert the text of a cell to a number in the format's unit; `ValueError` if it is no number.
-
-        `name` is a column that has one value for each dwell.
-        """
-        multiply, divide, add = self.head.columns[name].scale
-        return self._plain_number(text) * multiply / divide + add
-
     def _plain_number(self, cell: str) -> float:
         text = cell.strip().replace("−", "-")
         text = text.translate(_SWAPPED) if self._decimal == "," else text
@@ -123,16 +117,46 @@ class SamplesTable:
             raise ValueError(cell)
         return float(text)
 
-    def texts(self, name: str, rows: slice) -> Iterator[tuple[int, str]]:
-        """Yield each run of equal texts in a column, within some rows, as its first row and its text.
+    def values(self, name: str, rows: slice) -> Runs:
+        """Return the runs of equal texts in a column within some rows, each as its first row and its value.
 
-        `name` is a column with a value for each dwell, such as the position.
+        `name` is a column with a value for each dwell, such as the angle.
         """
         runs = self.runs[name]
-        at = bisect_right(runs, rows.start, key=lambda run: run[0]) - 1
-        while at < len(runs) and runs[at][0] < rows.stop:
-            yield max(runs[at][0], rows.start), runs[at][1].strip()
-            at += 1
+        first = bisect_right(runs, rows.start, key=lambda run: run[0]) - 1
+        last = bisect_left(runs, rows.stop, key=lambda run: run[0])
+        return [(max(row, rows.start), value) for row, value in runs[first:last]]
+
+    def _declared_value(self, name: str, text: str) -> Any:
+        """Read a cell of a column with one value for each dwell.
+
+        Raises
+        ------
+        ValueError
+            The cell is wrong; the message is the reason.
+        """
+        if name == "use":
+            if text.lower() not in ("fit", "check"):
+                raise ValueError("is neither 'fit' nor 'check'")
+            return text.lower()
+        if name == "approach":
+            sign = _SIGNS.get(text.replace(",", ".").replace("−", "-"))
+            if sign is None:
+                raise ValueError("is neither +1 nor -1")
+            return sign
+        multiply, divide, add = self.head.columns[name].scale
+        try:
+            value = self._plain_number(text) * multiply / divide + add
+        except ValueError:
+            value = math.nan
+        if name == "position":
+            # A spreadsheet may write an integer as 3.0 or 3,0.
+            if not (value.is_integer() and abs(value) < COLUMNS[name].largest):
+                raise ValueError("is not an integer of at most 9 digits")
+            return int(value)
+        if not abs(value) <= COLUMNS[name].largest:
+            raise ValueError("is not an angle of a stage in degrees; leave it empty if it is unknown")
+        return value
 
     # -- rows -----------------------------------------------------------------------------------------
 
@@ -323,6 +347,13 @@ class SamplesTable:
         if self._repeated:
             of = f"{self._repeated} of {len(self)} rows have the time of the row before"
             self.notes.append(f"{of}, first in row {self._first_repeated}: a coarse clock, or rows twice")
+        for name, runs in self.runs.items():
+            for k, (row, text) in enumerate(runs):
+                text = text.strip()
+                try:
+                    runs[k] = row, self._declared_value(name, text) if text else None
+                except ValueError as error:
+                    raise self.fail(row, f"column '{name}': '{text}' {error}") from None
         for name, (_, numbers) in self._numbers.items():
             rows = np.frombuffer(numbers)
             self.series[name] = rows.reshape(len(self), -1) if name in ("accel", "gyro") else rows
@@ -486,10 +517,9 @@ def _dwells_by_position(table: SamplesTable) -> tuple[list[int], list[slice]]:
     latest: int | None = None
     runs = table.runs["position"]
     ends = [*(row for row, _ in runs[1:]), len(table)]
-    for (row, text), end in zip(runs, ends, strict=True):
-        if not text.strip():
+    for (row, number), end in zip(runs, ends, strict=True):
+        if number is None:
             continue
-        number = _position(table, row, text)
         if number == latest and slices[number].stop == row:
             slices[number] = slice(slices[number].start, end)
             continue
@@ -506,17 +536,6 @@ def _dwells_by_position(table: SamplesTable) -> tuple[list[int], list[slice]]:
     if not slices:
         raise table.fail(0, "column 'position' is empty: number the dwells, or remove the column")
     return list(slices), list(slices.values())
-
-
-def _position(table: SamplesTable, row: int, text: str) -> int:
-    try:
-        # A spreadsheet may write an integer as 3.0 or 3,0.
-        value = table.number("position", text)
-    except ValueError:
-        value = math.nan
-    if not (value.is_integer() and abs(value) < COLUMNS["position"].largest):
-        raise table.fail(row, f"column 'position': '{text.strip()}' is not an integer of at most 9 digits")
-    return int(value)
 
 
 _DECLARED: dict[str, Any] = {"angle_deg": None, "approach": 0, "use": "fit", "turned_deg": None}
@@ -544,14 +563,14 @@ def _declared(
         # If values were noted on the last row of each dwell, they would all go to the next dwell.
         before = bool(gaps[0]) or not gaps[-1] or not slices or bool(inside[0])
         count = 0
-        for k, (rows, texts) in enumerate(zip(slices, inside, strict=True)):
-            if not texts and before:
-                texts = gaps[k][-1:]
-                count += bool(texts)
-            elif texts and name not in filled and any(not text for _, text in table.texts(name, rows)):
+        for k, (rows, stated) in enumerate(zip(slices, inside, strict=True)):
+            if not stated and before:
+                stated = gaps[k][-1:]
+                count += bool(stated)
+            elif stated and name not in filled and len(stated) < len(table.values(name, rows)):
                 filled.append(name)
-            if texts:
-                declared[k][name] = _one_value(table, name, texts)
+            if stated:
+                declared[k][name] = _one_value(table, name, stated)
         if count:
             taken.append(f"{name} in {count} of {counted(len(slices), 'dwell')}")
             spare = sum(len(gap) - 1 for gap in gaps[:-1] if gap) + len(gaps[-1])
@@ -573,43 +592,16 @@ def _declared(
     return declared, notes + lost
 
 
-def _stated(table: SamplesTable, name: str, rows: slice) -> Texts:
-    """Return the non-empty texts of a column within some rows, each with the first row of its run."""
-    return [(row, text) for row, text in table.texts(name, rows) if text]
+def _stated(table: SamplesTable, name: str, rows: slice) -> Runs:
+    """Return the values of a column within some rows without the empty ones."""
+    return [run for run in table.values(name, rows) if run[1] is not None]
 
 
-def _one_value(table: SamplesTable, name: str, texts: Texts) -> Any:
-    """Return the value of all texts (row and text) of a dwell; raise `DataError` if they differ."""
-    values = []
-    for row, text in texts:
-        try:
-            values.append(_read_declared(table, name, text))
-        except ValueError as error:
-            raise table.fail(row, f"column '{name}': '{text}' {error}") from None
-        if values[-1] != values[0]:
-            change = f"changes within a dwell from '{texts[0][1]}' to '{text}'"
+def _one_value(table: SamplesTable, name: str, stated: Runs) -> Any:
+    """Return the value that a dwell states in all of its rows; raise `DataError` if they differ."""
+    value = stated[0][1]
+    for row, other in stated:
+        if other != value:
+            change = f"changes within a dwell from {value} to {other}"
             raise table.fail(row, f"{name} {change}; a new setting is a new position")
-    return values[0]
-
-
-_SIGNS = {"0": 0, "+1": 1, "1": 1, "+1.0": 1, "1.0": 1, "-1": -1, "-1.0": -1}
-
-
-def _read_declared(table: SamplesTable, name: str, text: str) -> Any:
-    """Read the text of a cell in a column of `_DECLARED`; `ValueError` with the reason if it is wrong."""
-    if name == "use":
-        if text.lower() not in ("fit", "check"):
-            raise ValueError("is neither 'fit' nor 'check'")
-        return text.lower()
-    if name == "approach":
-        sign = _SIGNS.get(text.replace(",", ".").replace("−", "-"))
-        if sign is None:
-            raise ValueError("is neither +1 nor -1")
-        return sign
-    try:
-        value = table.number(name, text)
-    except ValueError:
-        raise ValueError("is not an angle in degrees") from None
-    if not abs(value) <= COLUMNS[name].largest:
-        raise ValueError("is no angle of a stage; leave it empty if it is unknown")
     return value
