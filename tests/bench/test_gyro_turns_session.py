@@ -293,15 +293,16 @@ def test_a_turn_that_is_not_whole_is_asked_again_and_the_new_one_counts(tmp_path
     ] == pytest.approx(360, abs=25)
 
 
-def test_a_turn_the_other_way_is_taken_so_and_the_next_one_turned_back(tmp_path):
-    _, operator, session = by_hand(
-        tmp_path, 3, turned=lambda event, times: -360.0 if event.place == 1 else event.position.turned_deg
-    )
+def test_a_turn_the_other_way_is_asked_again(tmp_path):
+    def turned(event, times):
+        return -360.0 if event.place == 1 and times == 0 else event.position.turned_deg
+
+    _, operator, session = by_hand(tmp_path, 3, turned=turned)
     assert [guard.kind for guard in operator.guards] == ["reversed"]
-    assert operator.guards[0].default == "reverse"
+    assert operator.guards[0].default == "retake"
     found = rate_intervals(session)
     angle = (found.column("rotation_dps") * found.column("length_s")[:, None])[found.column("turn"), 0]
-    assert angle == pytest.approx([-360, 360], abs=1)
+    assert angle == pytest.approx([360, -360], abs=1)
 
 
 def test_a_turn_about_another_axis_stops_with_its_axis(tmp_path):

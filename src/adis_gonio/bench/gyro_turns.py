@@ -246,11 +246,9 @@ class GyroTurnsRecorder(DwellRecorder):
             yield self._ledger.problem(Problem(guard.kind, guard.message, place))
             return True
         answer = yield from self._questions.ask_guard(guard, place)
-        if answer is Reply.REVERSE:
-            self._ledger.extend(_the_other_way(self._ledger.plan, place))
-        elif answer is Reply.SKIP:
+        if answer is Reply.SKIP:
             self._ledger.skip(place)
-        return answer in (Reply.KEEP, Reply.REVERSE)
+        return answer is Reply.KEEP
 
     def _sampling(self, rest: Block) -> Sampling:
         measured = self._bench.configuration.as_dict()
@@ -308,20 +306,7 @@ def judge_whole_turn(turn: GyroTurn, found: Integral | str) -> Guard | None:
         return Guard("wrong_angle", message, values, spoils=True)
     if turned * wanted_deg < 0:
         message = (
-            f"turned {signed(turned, 0)}°, {turn_sense(turned)}; {turn_sense(wanted_deg)} was requested:"
-            " this is allowed if the next turn goes the other way"
+            f"turned {signed(turned, 0)}°, {turn_sense(turned)}; {turn_sense(wanted_deg)} was requested"
         )
-        return Guard("reversed", message, values, ("retake", "reverse", "keep", "skip"), "reverse")
+        return Guard("reversed", message, values)
     return None
-
-
-def _the_other_way(plan: Plan, place: int) -> Plan:
-    """Return the plan with the opposite sense for the turn to `place` and the turns directly after it.
-
-    The change ends before the next position without a turn, which has a new attitude.
-    """
-    positions, k = list(plan.positions), place
-    while k < len(positions) and (turned := positions[k].turned_deg) is not None:
-        positions[k] = replace(positions[k], turned_deg=-turned)
-        k += 1
-    return replace(plan, positions=tuple(positions))

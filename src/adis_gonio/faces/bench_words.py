@@ -40,10 +40,7 @@ ANSWERS = {
     "stop": BenchKey("q", "quit", "end here; the data stay, --resume goes on"),
 }
 """Key of each answer to the runner's questions, by the name of the answer."""
-ON_TABLE = {
-    "retake": BenchKey("r", "again", "go back to the mark and turn again"),
-    "reverse": BenchKey("v", "reverse", "keep it, and turn the next one the other way"),
-}
+ON_TABLE = {"retake": BenchKey("r", "again", "go back to the mark and turn again")}
 """Keys of the answers that have another meaning for whole turns on a table, by the name of the answer."""
 PAUSE = BenchKey("p", "pause", "pause or go on; nothing is measured during a pause")
 NOTE = BenchKey("n", "note", "add a note to the session")
