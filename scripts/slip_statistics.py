@@ -31,9 +31,13 @@ import numpy as np
 from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.device.sensor.registers import GYRO_LSB_DPS
 from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.fitting.slips import Increments, PositionFinding
-from adis_gonio.fitting.slips.position_model import Name, possible_entries
-from adis_gonio.fitting.slips.session_positions import angles_of, positions_of, search_faults
+from adis_gonio.fitting.slips.position_model import Increments, Name, possible_entries
+from adis_gonio.fitting.slips.session_positions import (
+    PositionFinding,
+    angles_of,
+    positions_of,
+    search_faults,
+)
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.sim import World, WorldSettings
 from adis_gonio.sim.sampling import bartlett_sums

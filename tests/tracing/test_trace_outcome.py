@@ -17,8 +17,7 @@ from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, Unit, from_means
 from adis_gonio.fitting.estimation.terms import Term
-from adis_gonio.fitting.slips import Diagnosis, PositionFinding
-from adis_gonio.fitting.slips.session_positions import Named
+from adis_gonio.fitting.slips.session_positions import Diagnosis, Named, PositionFinding
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import MeanRate
 from adis_gonio.tracing.credible_sets import credible_sets, merge_by_function, votes

@@ -21,7 +21,7 @@ from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.estimation.readings import Readings, Unit, in_mg
 from adis_gonio.fitting.estimation.terms import Term
-from adis_gonio.fitting.slips import Diagnosis
+from adis_gonio.fitting.slips.session_positions import Diagnosis
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing import validation
 from adis_gonio.tracing.credible_sets import CredibleSet, Names

@@ -22,8 +22,7 @@ from adis_gonio.fitting.determination import LIMIT, Determination, NoiseAssumpti
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.linked import LinkReport
-from adis_gonio.fitting.slips import PositionFinding
-from adis_gonio.fitting.slips.session_positions import listed
+from adis_gonio.fitting.slips.session_positions import PositionFinding, listed
 from adis_gonio.fitting.uncertainty import FIXTURE, BudgetRow, ShownAngle, Sources, budget_of
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn

@@ -32,8 +32,7 @@ from adis_gonio.device.sensor.settings import compensations
 from adis_gonio.fitting import FitResult
 from adis_gonio.fitting.answer import Answer, format_dof, format_share, method_tables
 from adis_gonio.fitting.estimation.readings import readings_of
-from adis_gonio.fitting.slips import PositionFinding
-from adis_gonio.fitting.slips.session_positions import Angle
+from adis_gonio.fitting.slips.session_positions import Angle, PositionFinding
 from adis_gonio.model.records import METADATA, Session
 from adis_gonio.page.document import Figure, KeyFigure, Role, Section, Series, Table, plot, render
 from adis_gonio.record.provenance import digest_of_file

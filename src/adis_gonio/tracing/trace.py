@@ -29,8 +29,12 @@ from adis_gonio.base.numbers import counted, format_p, format_percent, signed
 from adis_gonio.base.uncertainty import Detectable
 from adis_gonio.fitting.estimation.readings import ACCELEROMETER, Readings, known_part, readings_of_part
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
-from adis_gonio.fitting.slips import Diagnosis, PositionFinding
-from adis_gonio.fitting.slips.session_positions import failure_message, positions_of
+from adis_gonio.fitting.slips.session_positions import (
+    Diagnosis,
+    PositionFinding,
+    failure_message,
+    positions_of,
+)
 from adis_gonio.model.effects import catalogue
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import provenance_of

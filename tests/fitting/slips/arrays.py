@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from adis_gonio.fitting.estimation.readings import Readings, from_means
-from adis_gonio.fitting.slips import Increments
+from adis_gonio.fitting.slips.position_model import Increments
 from adis_gonio.model.effects import Conditions
 
 

@@ -8,9 +8,8 @@ import json
 import numpy as np
 import pytest
 
-from adis_gonio.fitting.slips import diagnose
 from adis_gonio.fitting.slips.position_model import possible_entries
-from adis_gonio.fitting.slips.session_positions import listed
+from adis_gonio.fitting.slips.session_positions import diagnose, listed
 from detectable_slips import detectable_deg
 from fitting.slips.arrays import angles
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
@@ -18,7 +18,7 @@ from scipy import fft, special
 from adis_gonio.base.arrays import Floats, solvable
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import DataError, UsageError
-from adis_gonio.base.jsonable import json_object
+from adis_gonio.base.jsonable import HIDDEN, KEYED_BY_NAME, JsonRecord, json_object, key
 from adis_gonio.base.numbers import counted, format_number, format_p, format_unit
 from adis_gonio.base.uncertainty import INADEQUATE, NORMAL_95, SLOW_NOISE, Value, finite_or_none
 from adis_gonio.device.sensor.registers import VARIANTS
@@ -134,8 +134,7 @@ def parameters(part: Part, unit: str, profiles: dict[Kind, Profile]) -> tuple[No
     )
 
 
-@dataclass(frozen=True)
-class AxisNoise:
+class AxisNoise(JsonRecord):
     """Noise of one axis.
 
     Attributes
@@ -165,15 +164,15 @@ class AxisNoise:
         Remarks for the user, one line each.
     """
 
-    axis: str
-    parameters: tuple[NoiseParameter, ...]
+    axis: str = field(metadata=HIDDEN)
+    parameters: tuple[NoiseParameter, ...] = field(metadata=KEYED_BY_NAME)
     ramp: Value
-    slow_p_value: float
-    adequacy: float
+    slow_p_value: float = field(metadata=key("slow_noise_p_value"))
+    adequacy: float = field(metadata=key("adequacy_p_value"))
     band_hz: tuple[float, float]
     lines: tuple[SpectralLine, ...]
-    step: float
-    curve: AllanCurve
+    step: float = field(metadata=key("converter_step"))
+    curve: AllanCurve = field(metadata=key("allan"))
     notes: tuple[str, ...]
 
     def __getitem__(self, name: str) -> NoiseParameter:
@@ -190,17 +189,7 @@ class AxisNoise:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the JSON object of the axis: its noise processes, Allan deviation, drift and sinusoids."""
-        return json_object(
-            parameters={parameter.name: parameter for parameter in self.parameters},
-            ramp={**self.ramp.as_dict(), "present": self.ramps},
-            slow_noise_p_value=self.slow_p_value,
-            adequacy_p_value=self.adequacy,
-            band_hz=self.band_hz,
-            lines=self.lines,
-            converter_step=self.step,
-            allan=self.curve,
-            notes=self.notes,
-        )
+        return super().as_dict() | {"ramp": {**self.ramp.as_dict(), "present": self.ramps}}
 
 
 @dataclass(frozen=True)
