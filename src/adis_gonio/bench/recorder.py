@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Generator, Iterator
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import ClassVar
 
 from adis_gonio.base.arrays import wrap_degrees
 from adis_gonio.base.errors import AdisGonioError, SessionError, UsageError
@@ -246,14 +246,6 @@ def free_turn_plan(turns: int = TURNS, duration_s: float = DURATION_S) -> Plan:
     return Plan(FREE_TURN, (PLACE,), turns=turns)
 
 
-@runtime_checkable
-class TurningStage(Protocol):
-    """A stage that the program can turn through full turns, as slowly as a hand would."""
-
-    def turn_freely(self, turns: int = 1) -> float:
-        """Start the turns; return the time in s at which they end."""
-
-
 class FreeTurn(FollowedTurn):
     """A turn by hand in the plane, followed by the angle of gravity.
 
@@ -300,7 +292,7 @@ class FreeTurn(FollowedTurn):
 
     def begin(self, bench: SessionBench) -> bool:
         """Start the turn of the stage; return False if the stage cannot turn and a hand has to."""
-        if not isinstance(bench.stage, TurningStage):
+        if bench.stage is None or not hasattr(bench.stage, "turn_freely"):
             return False
         bench.stage.turn_freely(self.turns)
         return True

@@ -6,7 +6,7 @@ import math
 import shlex
 from collections.abc import Sequence
 from datetime import datetime
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 import numpy as np
 
@@ -32,18 +32,30 @@ CHECKPOINT_S = 1e-3
 
 
 class MovableStage(Protocol):
-    """A stage that the program can move; a bus may bring one as its attribute `stage`."""
+    """A stage that the program can move; a bus may bring one as its attribute `stage`.
+
+    A stage has at least `move_to`; a plan that needs another method is refused without it. The methods that
+    begin a move return at once, so that the program can record the move while the clock advances by reading
+    scans; they return the time in s on the bus's clock at which the move ends.
+    """
 
     def move_to(self, angle_deg: float, approach: int = 1) -> object:
         """Go to an angle in degrees, in the direction `approach` (+1 or −1) at the end."""
 
-
-@runtime_checkable
-class SpatialStage(MovableStage, Protocol):
-    """A stage that can also turn the sensor to any attitude in space."""
-
     def orient(self, vector: Sequence[float]) -> object:
         """Turn the sensor to the attitude in which an ideal sensor would read this vector (3,)."""
+
+    def begin_move(self, angle_deg: float, approach: int = 0) -> float:
+        """Start a move to an angle in degrees; with `approach` 0 the direct way."""
+
+    def begin_orient(self, vector: Sequence[float]) -> float:
+        """Start a move to the attitude in which an ideal sensor reads this vector (3,)."""
+
+    def begin_turn(self, angle_deg: float) -> float:
+        """Start a turn about the vertical in degrees, counter-clockwise positive."""
+
+    def turn_freely(self, turns: int = 1) -> float:
+        """Start full turns in the plane, as slowly as a hand would."""
 
 
 class SimulatedWorld(Protocol):
@@ -51,34 +63,6 @@ class SimulatedWorld(Protocol):
 
     def truth(self, time_s: Floats | None = None) -> dict[str, float]:
         """Return the true parameters of the simulated sensor, averaged over `time_s` (n,) if given."""
-
-
-@runtime_checkable
-class WatchedStage(SpatialStage, Protocol):
-    """A stage that moves while scans are read; the clock advances by reading scans.
-
-    The methods return at once, so that the program can record the move.
-    """
-
-    def begin_move(self, angle_deg: float, approach: int = 0) -> float:
-        """Start a move to an angle in degrees; return the time in s on the bus's clock at which it ends.
-
-        `approach` is the direction of travel at the end, +1 or −1; 0 for the direct way.
-        """
-
-    def begin_orient(self, vector: Sequence[float]) -> float:
-        """Start a move to the attitude in which an ideal sensor reads this vector (3,).
-
-        Returns the time in s on the bus's clock at which the move ends.
-        """
-
-
-@runtime_checkable
-class TurnTable(MovableStage, Protocol):
-    """A stage that can also turn the sensor about the vertical while scans are read."""
-
-    def begin_turn(self, angle_deg: float) -> float:
-        """Start a turn in degrees, counter-clockwise positive; return the time in s at which it ends."""
 
 
 class SessionBench:
@@ -159,17 +143,15 @@ class SessionBench:
                 " run it without auto"
             )
         free = any(position.angle_deg is None for position in plan.positions)
-        if free and not isinstance(self.stage, SpatialStage):
+        if free and not hasattr(self.stage, "orient"):
             raise UsageError(f"plan '{plan.name}' needs an operator: this stage turns in a plane only")
         whole = any(position.turned_deg is not None for position in plan.positions)
-        if whole and not isinstance(self.stage, TurnTable):
+        if whole and not hasattr(self.stage, "begin_turn"):
             raise UsageError(f"plan '{plan.name}' needs an operator: this stage does not turn a table")
 
     def can_reach(self, position: Position) -> bool:
         """Return True if the program can set a position without an operator."""
-        if position.angle_deg is None:
-            return isinstance(self.stage, SpatialStage)
-        return self.stage is not None
+        return hasattr(self.stage, "move_to" if position.angle_deg is not None else "orient")
 
     def require_same_sensor(self, archive: ArchiveView) -> None:
         """Raise `SessionError` if a session was begun with another sensor."""
@@ -302,19 +284,21 @@ class SessionBench:
         the move.
         """
         stage = self.stage
-        scanned = stage if watched and self.settings.turns and isinstance(stage, WatchedStage) else None
+        scans = watched and self.settings.turns
+        if stage is None:
+            return False
         if move.turned_deg is not None:
-            if not isinstance(stage, TurnTable):
+            if not hasattr(stage, "begin_turn"):
                 return False
             stage.begin_turn(move.turned_deg)
-        elif move.angle_deg is not None and stage is not None:
-            if scanned is not None:
-                self._moves_until_s = scanned.begin_move(move.angle_deg, move.approach)
+        elif move.angle_deg is not None:
+            if scans and hasattr(stage, "begin_move"):
+                self._moves_until_s = stage.begin_move(move.angle_deg, move.approach)
             else:
                 stage.move_to(move.angle_deg, move.approach)
-        elif move.direction is not None and isinstance(stage, SpatialStage):
-            if scanned is not None:
-                self._moves_until_s = scanned.begin_orient(move.direction)
+        elif move.direction is not None and hasattr(stage, "orient"):
+            if scans and hasattr(stage, "begin_orient"):
+                self._moves_until_s = stage.begin_orient(move.direction)
             else:
                 stage.orient(move.direction)
         else:

@@ -200,9 +200,5 @@ def _bridge(bus: BringupBus) -> dict[str, Any]:
     facts["clock_hz_used_at_most"] = bus.ceiling_hz
     firmware = getattr(inner, "firmware", None)
     if dataclasses.is_dataclass(firmware) and not isinstance(firmware, type):
-        facts["firmware"] = {
-            field.name: getattr(firmware, field.name)
-            for field in dataclasses.fields(firmware)
-            if isinstance(getattr(firmware, field.name), int | str | tuple | list)
-        }
+        facts["firmware"] = dataclasses.asdict(firmware)
     return facts

@@ -19,14 +19,13 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord, key
 from adis_gonio.device.bus import SpiBus, SpiTiming, Words
 from adis_gonio.device.bus.recording import Call, ObservedBus
 from adis_gonio.device.sensor.driver import Adis16354, Undo
-from adis_gonio.device.sensor.registers import BY_NAME, EA, IDLE, VARIANTS, Register, register, registers
-from adis_gonio.device.sensor.scanning import PolledScans, ScanLayout, ScanStream
+from adis_gonio.device.sensor.registers import BY_NAME, EA, IDLE, VARIANTS, Register, register
 from adis_gonio.device.sensor.settings import ScanBlock, join
 
 _PART = VARIANTS["adis16354"]
@@ -424,8 +423,6 @@ def highest_bin(bins: int) -> float:
     return math.log(bins / ALPHA)
 
 
-Floats = NDArray[np.float64]
-
 HOST_CLOCK_U = 100e-6 / np.sqrt(3)
 """Relative standard uncertainty of a computer's clock: quartz, within 100 ppm."""
 BOARD_CLOCK_U = 5e-3 / np.sqrt(3)
@@ -540,7 +537,11 @@ class BringupBench:
         """
         blocks: list[ScanBlock] = []
         have, begin_s = 0, self.bus.now_s()
-        with self._stream(names, min(count, 256)) as stream:
+        period_s, size = self.sensor.configuration().sample_period_s, min(count, 256)
+        # Data-ready may be enabled, but not wired; polling does not need it.
+        size = size if self.data_ready else max(4, min(size, round(0.5 / period_s)))
+        ready = None if self.data_ready else False
+        with self.sensor.stream(names, block_scans=size, data_ready=ready) as stream:
             for block in stream:
                 blocks.append(block)
                 have += len(block)
@@ -548,22 +549,12 @@ class BringupBench:
                 if have >= count or (late and have >= FEWEST):
                     break
         scans = join(blocks)
-        begin, end = longest_run(scans.time_s, self.sensor.configuration().sample_period_s * self.clock)
+        begin, end = longest_run(scans.time_s, period_s * self.clock)
         if end - begin < count // 2:
             return scans.first(count), False
         cut = slice(begin, min(end, begin + count))
         words, times = scans.words[cut], scans.time_s[cut]
         return replace(scans, words=words, time_s=times, lost=0, missed=None), True
-
-    def _stream(self, names: Sequence[str], block_scans: int) -> ScanStream:
-        if self.data_ready:
-            return self.sensor.stream(names, block_scans=block_scans)
-        # Data-ready may be enabled, but not wired; polling does not need it.
-        now = self.sensor.configuration()
-        layout = ScanLayout(
-            registers(names), self.sensor.variant.name, now.gyro_range_dps, now.sample_period_s
-        )
-        return PolledScans(self.bus, layout, max(4, min(block_scans, round(0.5 / now.sample_period_s))))
 
     def means(self, count: int, names: Sequence[str]) -> Floats:
         """Return the means (k,) in LSB of the k output registers `names` over `count` scans."""

@@ -7,12 +7,12 @@ from collections.abc import Callable
 
 import numpy as np
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.bench.bringup.bringup_step import (
     BOARD_CLOCK_U,
     BringupBench,
     BringupStep,
-    Floats,
     StepResult,
     Z,
 )

@@ -7,16 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import ChipError
 from adis_gonio.bench.bringup.bringup_step import (
     BringupBench,
     BringupStep,
-    Floats,
-    Measured,
     Outcome,
     SideEffect,
     StepResult,
@@ -100,8 +98,7 @@ class Noise(BringupStep):
         for name, s, d, e, unit in zip(names, sigma, u, expected, units, strict=True):
             found.measure(f"noise of {name}, unfiltered", s, unit, d, e)
         found.measure("scans", len(block))
-        found.figures += judged.figures
-        _answer_noise(found, names, judged.level_off)
+        _answer_noise(found, judged.level_off)
         if judged.tones:
             text = "; ".join(
                 f"a tone of {math.sqrt(2) * rms * lsb[k]:.2g} {units[k]} at {hz:.1f} Hz on {names[k]}"
@@ -139,8 +136,6 @@ class _Judged:
         Axes with a spectrum of another shape than the filter.
     tones : list of (int, float, float)
         Axis, frequency in Hz and rms in LSB of each single tone.
-    figures : tuple of Measured
-        Further figures of the step.
     """
 
     def __init__(self, sigma: Floats, u: Floats) -> None:
@@ -149,7 +144,6 @@ class _Judged:
         self.level_off = [False] * len(sigma)
         self.shape_off: list[int] = []
         self.tones: list[tuple[int, float, float]] = []
-        self.figures: tuple[Measured, ...] = ()
 
 
 def _by_spectrum(part: Variant, numbers: Floats, m: int, rate_hz: float, expected: Floats) -> _Judged:
@@ -195,22 +189,19 @@ def _by_spectrum(part: Variant, numbers: Floats, m: int, rate_hz: float, expecte
             low, high = variance_ratio(2 * len(band) / HANN_WIDTH)
             if not low <= float(np.mean(band)) <= high and k not in judged.shape_off:
                 judged.shape_off.append(k)
-    judged.figures = (Measured("lowest frequency that is judged", float(hz[0]), "Hz"),)
     return judged
 
 
-def _answer_noise(found: StepResult, names: Sequence[str], off: Sequence[bool]) -> None:
+def _answer_noise(found: StepResult, off: Sequence[bool]) -> None:
     """Answer the questions on the noise by the first six figures of `found`, one figure for each axis.
 
-    `names` are the output registers of the axes. `off` has for each axis True if its noise differs from the
-    variant's.
+    `off` has for each axis True if its noise differs from the variant's.
     """
-    for question, first, unit in (("accel_noise", 0, "mg"), ("gyro_noise", 3, "°/s")):
-        axes = slice(first, first + 3)
-        pairs = zip(names[axes], found.figures[axes], strict=True)
-        figures = [replace(figure, name=name, unit=unit) for name, figure in pairs]
-        text = f"{', '.join(f'{figure.value:.3g}' for figure in figures)} {unit} where the table says"
-        found.check(question, not any(off[axes]), f"{text} {figures[0].expected:g}", *figures)
+    for question, axes in (("accel_noise", slice(0, 3)), ("gyro_noise", slice(3, 6))):
+        figures = found.figures[axes]
+        text = f"{', '.join(f'{figure.value:.3g}' for figure in figures)} {figures[0].unit}"
+        text += f" where the table says {figures[0].expected:g}"
+        found.check(question, not any(off[axes]), text, *figures)
 
 
 class FilterSteps(BringupStep):

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import BusTimeoutError, UsageError
 from adis_gonio.base.numbers import signed
 from adis_gonio.bench.bringup.bringup_step import (
@@ -15,7 +16,6 @@ from adis_gonio.bench.bringup.bringup_step import (
     HOST_CLOCK_U,
     BringupBench,
     BringupStep,
-    Floats,
     SideEffect,
     StepResult,
     Z,

@@ -573,16 +573,8 @@ class OffsetWriter:
             dwell = max((attempt.number for attempt in archive.dwells()), default=0)
             archive.begin_run(now_s, self._bench.clock_offset(archive, now_s), dwell)
             journal = Logbook(archive, operation, self.sensor.bus.now_s)
-            journal.note(
-                WriteStep.PLANNED,
-                op=operation.op,
-                old=operation.old,
-                new=operation.new,
-                found=operation.found,
-                save=operation.save,
-                url=self.sensor.bus.url,
-                **facts,
-            )
+            known = {name: getattr(operation, name) for name in ("op", "old", "new", "found", "save")}
+            journal.note(WriteStep.PLANNED, **known, url=self.sensor.bus.url, **facts)
             yield journal
 
 

@@ -312,7 +312,7 @@ class ClockMap:
         self._s = 0.0
         self._anchor = (0.0, arrival_s)
         self._points: list[tuple[float, float]] = []
-        self._fitted: tuple[float, float, float] | None = None
+        self._fitted: np.polynomial.Polynomial | None = None
 
     def times(self, first_us: int, span_us: int, count: int, arrival_s: float) -> NDArray[np.float64]:
         """Return the times (count,) in s of the evenly spaced scans of a packet, on the bus's clock.
@@ -349,17 +349,14 @@ class ClockMap:
             if len(points) >= 4:
                 # Fit a straight line to the clock difference against the board's time.
                 at, late = np.array(points).T
-                middle = float(at.mean())
-                slope = float((at - middle) @ late / ((at - middle) @ (at - middle)))
-                self._fitted = (middle, float(late.mean()), slope)
+                self._fitted = np.polynomial.Polynomial.fit(at, late, 1)
             points.append((time_s, late_s))
             del points[:-32]
 
     def _line(self, time_s: float) -> float:
         if self._fitted is None:
             return time_s + min(late for _, late in self._points)
-        middle, offset, slope = self._fitted
-        return time_s + offset + slope * (time_s - middle)
+        return time_s + float(self._fitted(time_s))
 
 
 SILENCE_S = 3.0
