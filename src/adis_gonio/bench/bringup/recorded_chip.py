@@ -171,7 +171,6 @@ class RecordedChip:
         # Contents by name as far as they are known, and names of the registers read since they changed.
         self._contents: dict[str, int] = {}
         self._verified: set[str] = set()
-        self._parts: dict[str, tuple[int, int]] = {}
         self.spans = [RegisterSpan(-math.inf, {})]
         self._edge_rises = edge_rises
         self._listed: list[Register | None] = []
@@ -305,20 +304,12 @@ class RecordedChip:
         old = self._contents.get(row.name)
         if row is _MISC and shift and byte << 8 & SELF_TEST:
             self._testing = time_s
-        if old is None:
-            # The content is known as soon as every byte was written.
-            done, word = self._parts.pop(row.name, (0, 0))
-            done, word = done | mask, word & ~mask | byte << shift & mask
-            if done != row.write_mask:
-                self._parts[row.name] = done, word
-                self._new_span(time_s)
-                return
-            old = word
-        word = old & ~mask & row.write_mask | byte << shift & mask
-        self._contents[row.name] = word
         self._verified.discard(row.name)
-        if reply >= 0:
-            self.after_writes.append((frame, word, reply_before, reply))
+        if old is not None:  # otherwise the content is known when it is read
+            word = old & ~mask & row.write_mask | byte << shift & mask
+            self._contents[row.name] = word
+            if reply >= 0:
+                self.after_writes.append((frame, word, reply_before, reply))
         self._new_span(time_s)
 
     def _command(self, name: str, time_s: float) -> None:

@@ -177,14 +177,6 @@ class Adis16354(Closing):
         self._gyro_range: int | None = None
         bus.sleep_s(START_UP_S)
         bus.configure(NORMAL)
-        if check:
-            words = set(self.read_words(["SMPL_PRD", "SENS_AVG", "SUPPLY_OUT", "XTEMP_OUT"]))
-            for word, level in ((0x0000, "zeros"), (0xFFFF, "ones")):
-                if words == {word}:
-                    raise SilentChipError(
-                        f"{bus.url}: nothing answers, all replies are {level};"
-                        " check supply, chip select and the data line"
-                    )
         self._follow()
         if check:
             self._check_variant()
@@ -545,7 +537,7 @@ class Adis16354(Closing):
         StatusError
             STATUS reports a failed flash update.
         """
-        return self._flash_command("flash_update", FLASH_UPDATE_S, "the flash update")
+        return self._flash_command("flash_update", FLASH_UPDATE_S)
 
     def autonull(self) -> Offsets:
         """Let the chip set its gyro offsets so that the present gyro outputs become 0; return the offsets.
@@ -557,7 +549,7 @@ class Adis16354(Closing):
         ended.
         """
         wait = self.configuration().settling_s + START_UP_S + FLASH_UPDATE_S
-        self._flash_command("autonull", wait, "the autonull")
+        self._flash_command("autonull", wait)
         return self.offsets()
 
     def precision_autonull(self) -> Offsets:
@@ -566,8 +558,7 @@ class Adis16354(Closing):
         The precision autonull ends in a flash update. It raises `ChipError` if the flash is worn
         (10 000 updates). Only a reset of the chip stops the autonull.
         """
-        what = "the precision autonull"
-        self._flash_command("precision_autonull", PRECISION_AUTONULL_S, what)
+        self._flash_command("precision_autonull", PRECISION_AUTONULL_S)
         return self.offsets()
 
     def restore_factory(self) -> Offsets:
@@ -582,7 +573,7 @@ class Adis16354(Closing):
         VerifyError
             An offset is not zero afterwards, or the endurance counter did not go up.
         """
-        self._flash_command("restore", START_UP_S, "the factory restore")
+        self._flash_command("restore", START_UP_S)
         left = self.offsets()
         if any((*left.gyro_dps, *left.accel_mg)):
             raise VerifyError(f"after the factory restore offsets are not zero: {left}")
@@ -674,8 +665,8 @@ class Adis16354(Closing):
         row = BY_NAME["COMMAND"]
         self.bus.exchange_array(write_frames(row, row.field(field).mask, byte_mask=0x00FF))
 
-    def _flash_command(self, field: str, wait_s: float, what: str) -> int:
-        before = self.endurance()
+    def _flash_command(self, field: str, wait_s: float) -> int:
+        before, what = self.endurance(), f"the {field.replace('_', ' ')}"
         if before >= FLASH_LIFE:
             raise ChipError(f"ENDURANCE is {before}: no update, since the flash lasts {FLASH_LIFE} updates")
         self.forget_mark()
