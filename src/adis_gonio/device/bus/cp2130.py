@@ -398,7 +398,8 @@ def open_from_url(url: BusUrl, *, backend: Any = None, clock: host.Clock = host.
             claim()
             endpoints = _endpoints(usb, url.text, device)
         except usb.core.USBError as error:
-            raise _cannot_open(url.text, device, error) from error
+            gone = host.gone_error(url.text)
+            raise host.opening_error(error, url.text, _node(device), "usb 87a0", gone) from error
         bus = Cp2130Bus(device, usb.core.USBError, claim, endpoints, url.text, usual, clock)
         return bus.take_over(stack)
 
@@ -487,13 +488,3 @@ def _devices(usb: Any, boards: Sequence[Any]) -> list[Device]:
         denied = host.NO_PERMISSION if serial is None else ""
         devices.append(Device(f"cp2130:{place}", f"CP2130, USB to SPI, {_node(board)}{denied}"))
     return devices
-
-
-def _cannot_open(url: str, device: Any, error: Any) -> BusError:
-    if error.errno == errno.EACCES:
-        return host.permission_error(url, _node(device), "usb 87a0")
-    if error.errno == errno.EBUSY:
-        return host.busy_error(url, _node(device))
-    if error.errno in (errno.ENODEV, errno.ENOENT):
-        return host.gone_error(url)
-    return ProtocolError(f"{url}: the CP2130 cannot be opened: {error.strerror or error}")

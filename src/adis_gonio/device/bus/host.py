@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import time
 from abc import abstractmethod
@@ -14,7 +15,7 @@ from typing import Self, TypeVar
 
 import numpy as np
 
-from adis_gonio.base.errors import BusError, CannotOpenError, UsageError, suggest
+from adis_gonio.base.errors import BusError, CannotOpenError, ProtocolError, UsageError, suggest
 from adis_gonio.device.bus.contract import FRAME_BITS, Capability, SpiBus, SpiTiming, Words
 from adis_gonio.device.bus.opening import BusUrl, Device
 
@@ -324,6 +325,21 @@ def missing_error(url: str, what: str, others: Sequence[Device] = ()) -> CannotO
     """
     there = f"connected: {', '.join(d.url for d in others)}" if others else "see 'adis-gonio devices'"
     return CannotOpenError(f"{url}: no {what} is connected; {there}")
+
+
+def opening_error(error: OSError, url: str, what: str, rule: str, missing: BusError) -> BusError:
+    """Make the error for a device that the system does not open.
+
+    `what` is the device file, `rule` has words that identify its udev rule (see `udev_rule`), and `missing`
+    is the error if there is no such device.
+    """
+    if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
+        return missing
+    if error.errno in (errno.EACCES, errno.EPERM):
+        return permission_error(url, what, rule)
+    if error.errno in (errno.EBUSY, errno.EAGAIN):
+        return busy_error(url, what)
+    return ProtocolError(f"{url}: {what} cannot be opened: {error.strerror or error}")
 
 
 @contextlib.contextmanager

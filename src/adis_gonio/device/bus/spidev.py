@@ -478,12 +478,7 @@ def _request_line(system: Kernel, url: str, path: str, offset: int, folder: str)
 
 
 def _cannot_open(error: OSError, url: str, path: str, rule: str, folder: str) -> BusError:
-    if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
-        return host.missing_error(
-            url, f"{path} (on a Raspberry Pi: dtparam=spi=on)", find_devices(folder=folder)
-        )
-    if error.errno in (errno.EACCES, errno.EPERM):
-        return host.permission_error(url, path, rule)
-    if error.errno == errno.EBUSY:
-        return host.busy_error(url, path)
-    return ProtocolError(f"{url}: {path} cannot be opened: {error.strerror or error}")
+    missing = host.missing_error(
+        url, f"{path} (on a Raspberry Pi: dtparam=spi=on)", find_devices(folder=folder)
+    )
+    return host.opening_error(error, url, path, rule, missing)

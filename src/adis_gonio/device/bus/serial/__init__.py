@@ -14,7 +14,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -23,7 +22,6 @@ from adis_gonio.base.errors import (
     BusError,
     BusTimeoutError,
     NotInstalledError,
-    ProtocolError,
     UsageError,
     install_extra,
 )
@@ -141,7 +139,7 @@ def open_port(place: str, baud: int, url: str) -> SerialPort:
     except ValueError as error:
         raise UsageError(f"{url}: {error}") from error
     except OSError as error:
-        raise _cannot_open(error, place, baud, url) from error
+        raise _cannot_open(error, place, url) from error
     return SerialPort(serial, port, url)
 
 
@@ -175,17 +173,14 @@ def devices(ports: Sequence[Any]) -> list[Device]:
     return rows
 
 
-def _cannot_open(error: OSError, place: str, baud: int, url: str) -> BusError:
-    code = error.errno
-    if code in (errno.EACCES, errno.EPERM):
-        return host.permission_error(url, place, "tty")
+def _cannot_open(error: OSError, place: str, url: str) -> BusError:
+    missing = host.missing_error(url, f"port {place}", devices(list_boards()))
+    if "FileNotFoundError" in str(error):
+        return missing
     # Windows reports a port in use as "access denied", which pyserial gives as text only.
-    words = ("exclusively lock", "PermissionError")
-    if code in (errno.EBUSY, errno.EAGAIN) or any(word in str(error) for word in words):
+    if any(word in str(error) for word in ("exclusively lock", "PermissionError")):
         return host.busy_error(url, place)
-    if code in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "FileNotFoundError" in str(error):
-        return host.missing_error(url, f"port {place}", devices(list_boards()))
-    return ProtocolError(f"{url}: {place} cannot be opened at {baud} baud: {error}")
+    return host.opening_error(error, url, place, "tty", missing)
 
 
 __all__ = ["Port", "SerialBus", "SerialLink", "find_devices", "open_from_url"]
