@@ -162,6 +162,9 @@ def module(table: Table) -> str:
         out += ["", "", f"class {title}(IntEnum):", f'    """{text}"""', ""]
         for name, row in table[key].items():
             out += [f"    {name.upper()} = {row['code']}", f'    """{sentence(row["text"])}."""']
+    out += ["", "", "REFUSAL_TEXT = {"]
+    out += [f'    Refusal.{name.upper()}: "{row["text"]}",' for name, row in table["errors"].items()]
+    out += ["}"]
     for name, _, text, fields in rows:
         formats, names, tail = "", [], ""
         for field in fields:

@@ -100,7 +100,7 @@ class RefusedError(Exception):
 
     def __init__(self, request: str, error: wire.Error, *, once: bool) -> None:
         try:
-            text = wire.Refusal(error.code).name.lower().replace("_", " ")
+            text = wire.REFUSAL_TEXT[wire.Refusal(error.code)]
         except ValueError:
             text = f"code {error.code}"
         super().__init__(f"the firmware refused {request}: {text} ({error.detail})")

@@ -90,6 +90,19 @@ class Refusal(IntEnum):
     """Another protocol version; detail is the firmware's."""
 
 
+REFUSAL_TEXT = {
+    Refusal.NO_SESSION: "no hello since power-on: the firmware restarted",
+    Refusal.UNKNOWN_REQUEST: "no such request",
+    Refusal.BAD_LENGTH: "the body's length does not fit the request",
+    Refusal.BUSY: "a stream is running; stop it first",
+    Refusal.BAD_FRAME: "bit 14 set, or the write bit in a stream's list; detail is the frame's index",
+    Refusal.WRITE_COUNT: "the count of write frames does not fit the frames; detail is their number",
+    Refusal.BAD_VALUE: "a value is out of range; detail is the offset of its field",
+    Refusal.ID_REUSED: "the id of the last request with another content",
+    Refusal.PROTOCOL_VERSION: "another protocol version; detail is the firmware's",
+}
+
+
 class HelloRequest(Body, type=PacketType.HELLO_REQUEST, layout="BI"):
     """Opens a session: stops a stream, sets the default timing, forgets the ids used before."""
 
