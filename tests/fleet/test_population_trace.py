@@ -163,7 +163,7 @@ def test_order_does_not_matter_and_a_session_counts_once() -> None:
 
 def test_a_ratio_that_the_common_noise_cannot_explain_is_taken_as_it_is() -> None:
     every = drawn(np.random.default_rng(2), 50)
-    odd = replace(every[0], scatter=tuple(replace(p, chi2=25 * p.dof) for p in every[0].scatter))
+    odd = replace(every[0], scatter=tuple(p._replace(chi2=25 * p.dof) for p in every[0].scatter))
     factors = inflations([odd, *every[1:]])
     assert factors[0] == pytest.approx(25)
     assert np.median(factors[1:]) < 1.2

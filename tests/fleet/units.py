@@ -61,7 +61,7 @@ def drawn(
         if i < len(sizes):
             white = white + one.directions[:, one.keys.index(key)] * sizes[i]
         scatter = tuple(
-            replace(part, chi2=noise**2 * float(rng.chisquare(part.dof))) for part in one.scatter
+            part._replace(chi2=noise**2 * float(rng.chisquare(part.dof))) for part in one.scatter
         )
         out.append(
             replace(one, z=white @ one.directions, scatter=scatter, digest=f"{i:05d}", source=f"{i}.csv")

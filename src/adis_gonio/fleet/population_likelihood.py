@@ -339,19 +339,16 @@ def inflations(evidence: Sequence[SessionEvidence]) -> Floats:
     If the readings have two directions, along the turn and across it, the larger factor is used.
     """
     known = np.array([one.noise_known for one in evidence], dtype=bool)
-    ways = max((len(one.scatter) for one in evidence), default=1)
     out = np.zeros(len(evidence))
+    # χ² and its degrees of freedom in at most two directions; zero without a direction.
+    scatter = np.zeros((len(evidence), 2, 2))
+    for row, one in zip(scatter, evidence, strict=True):
+        row[: len(one.scatter)] = one.scatter
     # Direction by direction, and separately for stated and estimated noise.
-    for way in range(ways):
-        has = np.array([len(one.scatter) > way and one.scatter[way].dof > 0.5 for one in evidence])
-        ratio = np.ones(len(evidence))
-        dof = np.zeros(len(evidence))
-        for i in np.flatnonzero(has).tolist():
-            scatter = evidence[i].scatter[way]
-            ratio[i], dof[i] = scatter.chi2 / scatter.dof, scatter.dof
-        for rows in (known & has, ~known & has):
+    for chi2, dof in scatter.transpose(1, 2, 0):
+        for rows in (known & (dof > 0.5), ~known & (dof > 0.5)):
             if rows.any():
-                out[rows] = np.maximum(out[rows], _moderated(ratio[rows], dof[rows]))
+                out[rows] = np.maximum(out[rows], _moderated(chi2[rows] / dof[rows], dof[rows]))
     return np.where(known, np.maximum(out, 1.0), np.where(out > 0, out, 1.0))
 
 

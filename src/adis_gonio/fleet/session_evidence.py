@@ -21,7 +21,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -211,8 +211,7 @@ _STEP = 2.0**-15
 """Resolution of the stored directions: 3·10⁻⁵ of the length of a unit vector."""
 
 
-@dataclass(frozen=True)
-class ResidualChi2:
+class ResidualChi2(NamedTuple):
     """χ² of a residual in one direction, along or across the turn, and the degrees of freedom of the χ²."""
 
     chi2: float
