@@ -345,7 +345,15 @@ def test_an_axis_of_one_code_shows_nothing(same, code_mg):
 @pytest.mark.parametrize(("p_value", "called"), [(1e-4, True), (1e-3, False)])
 def test_a_finding_is_called_found_from_the_probability_that_any_cause_needs(p_value, called):
     """Prior 1 in 57; evidence of p = 10⁻⁴ is some 120 to 1, of 10⁻³ some 20 to 1."""
-    finding = WithinFinding("tone", "tone", ("x",), tuple(range(4)), {}, p_value, "")
+    finding = WithinFinding(
+        kind="tone",
+        effect="tone",
+        axes=("x",),
+        positions=tuple(range(4)),
+        parameters={},
+        p_value=p_value,
+        sentence="",
+    )
     assert counts_as_found(finding) == called
     assert not counts_as_found(replace(finding, positions=(0, 1, 2), p_value=1e-9))
     assert not counts_as_found(replace(finding, effect=None, p_value=1e-9))

@@ -134,37 +134,23 @@ def _replacements(selection: Selection) -> list[tuple[str, ...]]:
         if skeleton(selection.found, rival) == skeleton(selection.found, best):
             continue
         ours, theirs = _parts(selection, best), _parts(selection, rival)
-        lost = [p for p in ours if p not in theirs]
-        gained = [p for p in theirs if p not in ours]
-        named = any(part.name is not None for part in (*lost, *gained))
-        sure = all(verdict.names.get(p.name, 0.0) > limits.sure for p in lost if p.name is not None)
+        lost = [part for part in ours if part not in theirs]
+        gained = [part for part in theirs if part not in ours]
+        names = [ours[part] for part in lost]
+        named = any((*names, *(theirs[part] for part in gained)))
+        sure = all(verdict.names.get(name, 0.0) > limits.sure for name in names if name is not None)
         same = rival in verdict.same.get(best, [])
         if lost and gained and named and (same or not sure):
-            out.append(tuple(part.shown_as for part in (*lost, *gained)))
+            out.append((*lost, *gained))
         if len(out) >= 5:
             break
     return out
 
 
-@dataclass(frozen=True)
-class _Part:
-    """An effect or unnamed function of a model without its axes, for a comparison of models by causes.
-
-    Attributes
-    ----------
-    name : str or None
-        Name of the effect; None for an unnamed function.
-    shown_as : str
-        Text for it in the result.
-    """
-
-    name: str | None
-    shown_as: str
-
-
-def _parts(selection: Selection, model: Model) -> list[_Part]:
+def _parts(selection: Selection, model: Model) -> dict[str, str | None]:
+    """Map the texts of a model's causes, without axes, to their names; None for an unnamed function."""
     terms = (selection.problem.terms[k] for k in model)
-    return list(dict.fromkeys(_Part(term.name, term.shown_as) for term in terms))
+    return {term.shown_as: term.name for term in terms}
 
 
 class CredibleSet(JsonRecord):

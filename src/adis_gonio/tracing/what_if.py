@@ -34,6 +34,7 @@ from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
 from adis_gonio.model.effects import AXES, catalogue, effect
 from adis_gonio.model.effects.formula import FormulaEffect, formula_effect
+from adis_gonio.tracing import validation
 from adis_gonio.tracing.findings import differs_from_zero, finding_of
 from adis_gonio.tracing.linear_problem import amplitudes, linearise, span
 from adis_gonio.tracing.model_search import Model, price
@@ -42,14 +43,6 @@ from adis_gonio.tracing.scatter import log_evidence, price_of_scatter
 from adis_gonio.tracing.selection import Selection
 from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.trace_result import ErrorFigures
-from adis_gonio.tracing.validation import (
-    Fold,
-    held_out_alike,
-    heldout_errors,
-    leave_each_out,
-    leaves_too_few,
-    residuals_on,
-)
 
 if TYPE_CHECKING:
     from adis_gonio.tracing.trace import TraceRun
@@ -350,15 +343,15 @@ def _errors(free: TraceRun, asked: TraceRun) -> list[ErrorFigures]:
     Terms that were searched are chosen again in each fold. If the model was shortened, its terms are kept.
     """
     figures = [free.figures[0], free.figures[-1], asked.figures[-1]]
-    few = any(leaves_too_few(run.selection.fit) for run in (free, asked))
+    few = any(validation.leaves_too_few(run.selection.fit) for run in (free, asked))
     if free.checking is not None or few or current().left_out:
         return figures
     data = free.selection.data
     searched = [(run, run.fits[-1] if run.shortened else None) for run in (free, asked)]
     models = [(run.fold, run.selection.data, fit) for run, fit in ((free, free.fits[0]), *searched)]
-    lefts, _ = held_out_alike(models, free.selection.terms, (1, 2))
+    lefts, _ = validation.held_out_alike(models, free.selection.terms, (1, 2))
     return [
-        replace(figure, heldout_kept=None, **heldout_errors(data, left))
+        replace(figure, heldout_kept=None, **validation.heldout_errors(data, left))
         for figure, left in zip(figures, lefts, strict=True)
     ]
 
@@ -432,7 +425,7 @@ def best_by_terms(selection: Selection, nested: Sequence[Fit]) -> list[tuple[Fit
 
 
 def bought_by_terms(
-    selection: Selection, nested: Sequence[Fit], fold: Fold, checking: Readings | None = None
+    selection: Selection, nested: Sequence[Fit], fold: validation.Fold, checking: Readings | None = None
 ) -> list[Bought]:
     """Return the held-out errors of the best models of each number of terms; empty if no dwell is held out.
 
@@ -446,12 +439,14 @@ def bought_by_terms(
     data = fits[0].data
     # The terms of a fit are kept, and their values are fitted again without the held-out dwells.
     if checking is not None:
-        left_out = [[residuals_on(fit, checking)] for fit in fits]
-    elif leaves_too_few(fits[-1]):
-        left_out = leave_each_out(fits)[0]
+        left_out = [[validation.residuals_on(fit, checking)] for fit in fits]
+    elif validation.leaves_too_few(fits[-1]):
+        left_out = validation.leave_each_out(fits)[0]
     else:
         chosen = is_chosen.index(True)
-        left_out = held_out_alike([(fold, data, fit) for fit in fits], fits[chosen].terms, [chosen])[0]
+        left_out = validation.held_out_alike(
+            [(fold, data, fit) for fit in fits], fits[chosen].terms, [chosen]
+        )[0]
     squares = [
         np.concatenate([(part.residual**2).sum(axis=1) for part in parts]) if parts else np.zeros(0)
         for parts in left_out

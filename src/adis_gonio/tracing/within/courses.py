@@ -301,7 +301,6 @@ def _finding(
         axes=letters,
         positions=tuple(samples.position[dwells].tolist()),
         parameters=parameters,
-        p_value=1.0,
         sentence=sentence,
         places=places,
         advice=advice,
@@ -642,7 +641,6 @@ def _finding_of_events(
     most = f", most in position {worst.position}" if len(positions) > 1 else ""
     return WithinFinding(
         kind=kind,
-        effect=None,
         axes=axes,
         positions=positions,
         parameters={f"{name}_{worst.axis}": worst.value},

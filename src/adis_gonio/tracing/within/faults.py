@@ -153,7 +153,6 @@ def _spikes_finding(samples: Samples, found: list[tuple[Place, float]]) -> Withi
     count = len(places)
     return WithinFinding(
         kind="spikes",
-        effect=None,
         axes=axes,
         positions=positions,
         parameters={"count": Value(float(count), None, "1"), "largest": Value(size, None, "mg")},
@@ -218,7 +217,6 @@ def stuck(samples: Samples, scatter: Floats, reach: int) -> WithinFinding | None
     where = positions_text(positions, len(samples))
     return WithinFinding(
         kind="stuck",
-        effect=None,
         axes=axes,
         positions=positions,
         parameters={"longest": Value(run, None, "samples")},
@@ -528,10 +526,8 @@ def _joining(samples: Samples, density: Density, levels: dict[int, Levels], cut:
     return WithinFinding(
         kind="noise_change",
         effect="noise_change",
-        axes=(),
         positions=positions,
         parameters={**{f"extra_{letter}": size for letter, size in extra.items()}, "start": start},
-        p_value=1.0,
         sentence=(
             f"from {start} on (position {positions[0]}) the samples scatter more: noise of "
             f"{', '.join(f'{letter} {size}' for letter, size in extra.items())} has joined"
@@ -601,11 +597,8 @@ def _varying(samples: Samples, dwells: NDArray[np.intp], levels: dict[int, Level
     ranges = zip(letters, values[::2], values[1::2], strict=True)
     return WithinFinding(
         kind="noise_change",
-        effect=None,
-        axes=(),
         positions=positions,
         parameters=parameters,
-        p_value=1.0,
         sentence=(
             "the samples do not scatter alike in all dwells (standard deviation "
             f"{', '.join(f'{letter} {low} to {high} mg' for letter, low, high in ranges)}); unusual: "

@@ -215,7 +215,7 @@ class View:
     noise: Floats | None = None
 
 
-class WithinFinding(JsonRecord):
+class WithinFinding(JsonRecord, kw_only=True):
     """A finding in the samples inside the dwells.
 
     The JSON document is one entry of `within`.
@@ -247,11 +247,11 @@ class WithinFinding(JsonRecord):
     """
 
     kind: Kind
-    effect: str | None
-    axes: tuple[str, ...]
+    effect: str | None = None
+    axes: tuple[str, ...] = ()
     positions: tuple[int, ...]
     parameters: dict[str, Value]
-    p_value: float
+    p_value: float = 1.0
     sentence: str
     places: tuple[Place, ...] = ()
     advice: str = ""
