@@ -13,8 +13,8 @@ import pytest
 
 from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.calibrate import Calibration
-from adis_gonio.handover.c_header import FIXED_UDEG, c_header
-from adis_gonio.handover.fixed_point import CORDIC_UDEG, FLOAT_DEG, ONE, PARTS, polynomial_of
+from adis_gonio.handover.c_header import c_header
+from adis_gonio.handover.fixed_point import CORDIC_UDEG, FIXED_UDEG, FLOAT_DEG, ONE, PARTS, polynomial_of
 from handover.calibrations import CURVED, EVERY, PLANE, SPACE, calibration, of_counts
 from handover.machines import MACHINES, STRICT
 from handover.sweep import Printed, Scans, parsed, scans

@@ -24,8 +24,6 @@ from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
 from adis_gonio.model.records import MG_PER_G
 
 DEFAULT_NAME = "adis_gonio"
-FIXED_UDEG = 12
-"""Bound in µ° of the error of a fixed-point angle at 0.5 g: CORDIC, rounded coefficients and readings."""
 CHECKS = 8
 _FIELDS = {"t": "temperature", "v": "supply"}
 """Field of the C struct of a scan for each condition of the polynomials (`t`, `v`)."""
@@ -87,26 +85,19 @@ def _content(calibration: Calibration, name: str) -> dict[str, Any]:
         "numbers": fixed_point,
         "name": name,
         "NAME": name.upper(),
-        "sensor": where.sensor,
-        "planar": calibration.planar,
-        "words": polynomial.words,
-        "unit": calibration.unit,
+        "calibration": calibration,
+        "polynomial": polynomial,
         "gravity": f"{where.gravity_mps2:.6g}",
         "origin": _origin(calibration),
         "coefficients": _coefficient_lines(calibration),
         "remarks": _remarks(calibration),
         "rates": None if gyro is None else _rates_content(polynomial, calibration, gyro, name),
-        "needs": polynomial.needs,
-        "range_g": f"{fixed_point.RANGE_G:g}",
-        "fixed_udeg": FIXED_UDEG,
         "angle_u": "The u of an angle by the calibration is not known."
         if u_udeg is None
         else f"The u of an angle by the calibration is at most {u_udeg} udeg{at}.",
         "u_udeg": u_udeg,
         "alpha_udeg": round(calibration["alpha"].value * 1e6) if "alpha" in calibration else None,
         "id": f"0x{zlib.crc32(json_text(calibration.as_dict()).encode()):08X}UL",
-        "axes": polynomial.axes,
-        "letters": AXES[: polynomial.axes],
         "fixed": _Fixed(name, polynomial).body("scan"),
         "float": _Float(name, polynomial).body("scan"),
         "planes": planes,

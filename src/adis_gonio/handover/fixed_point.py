@@ -275,6 +275,8 @@ TURN_BITS = 32
 """Bits of an internal angle, which is an integer with 2³² per turn."""
 CORDIC_UDEG = 7
 """Bound in µ° of the angle's error by CORDIC."""
+FIXED_UDEG = 12
+"""Bound in µ° of the error of a fixed-point angle at 0.5 g: CORDIC, rounded coefficients and readings."""
 BITS = 30
 
 ATAN = (
