@@ -296,12 +296,11 @@ def test_coefficients_hold_for_the_sensor_as_it_is_and_the_session_says_so(path)
 # -- the chip's own null ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("precise", [False, True])
-def test_an_autonull_that_agrees_in_this_pose_is_kept_and_counted(path, precise):
+def test_an_autonull_that_agrees_in_this_pose_is_kept_and_counted(path):
     bus, told = part(), []
     made = writer(bus, path, tell=told.append)
     made.plan()
-    outcome = made.autonull(precise=precise)
+    outcome = made.autonull()
     found = outcome.autonull
     assert found.agrees
     # Force along X goes into the chip's null of Y, and is accounted for.
@@ -322,7 +321,7 @@ def test_without_the_g_sensitivity_the_same_null_would_be_refused(path, known):
     bus = part()
     made = writer(bus, path)
     made.plan()
-    found = made.autonull(precise=True).autonull
+    found = made.autonull().autonull
     force = made._part.gyro.force_part(made._before.mean_mg / 1000)
     assert (np.abs(found.measured - found.expected + force) > 4 * found.u).any()
 
@@ -358,7 +357,7 @@ def test_a_power_cut_within_an_autonull_is_known_and_undone(path):
 
     def cut_after_the_command(frames):
         replies = exchange(frames)
-        if 0xBE01 in frames.tolist():  # COMMAND[0]
+        if 0xBE10 in frames.tolist():  # COMMAND[4]
             bus.sleep_s(0.02)
             bus.chip.hard_reset(bus.now_s())
             bus.off = True
@@ -422,12 +421,12 @@ def test_the_command_shows_the_plan_in_dps_writes_and_undoes(bus, path, capsys):
 def test_the_command_says_what_an_autonull_costs_before_it_asks(bus, path, capsys, monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO("\n"))
     monkeypatch.setattr("adis_gonio.faces.cli.board_commands.on_terminal", lambda: True)
-    assert main(["write", str(path), URL, *QUICK, "--autonull", "quick"]) == 0
+    assert main(["write", str(path), URL, *QUICK, "--autonull"]) == 0
     err = capsys.readouterr().err
     assert err.index("ENDURANCE goes up by one") < err.index("Let the chip null")
     assert "nothing was changed" in err
     assert bus.chip.memory["ENDURANCE"] == 0
-    assert main(["write", str(path), URL, *QUICK, "--autonull", "precise", "--yes", "--json"]) == 0
+    assert main(["write", str(path), URL, *QUICK, "--autonull", "--yes", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["autonull"]["agrees"] is True
     assert document["endurance"] == {"before": 0, "after": 1}
@@ -437,8 +436,8 @@ def test_the_command_says_what_an_autonull_costs_before_it_asks(bus, path, capsy
 @pytest.mark.parametrize(
     "options",
     [
-        ["--autonull", "quick"],
-        ["--gyros", "--autonull", "quick", "--save"],
+        ["--autonull"],
+        ["--gyros", "--autonull", "--save"],
         ["--gyros", "--autonull", "slow"],
     ],
 )

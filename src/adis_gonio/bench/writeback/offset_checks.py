@@ -73,8 +73,6 @@ class Rest:
         Number of samples.
     mean_dps, u_dps : (3,) float
         Mean rates in °/s and their standard uncertainties; NaN if the gyros were not read.
-    sample_dps : (3,) float
-        Standard deviation of one sample of the gyros in °/s; NaN if they were not read.
     temperatures_c : (3,) float
         Temperatures of the gyros' dies in °C; NaN if the gyros were not read.
     """
@@ -86,7 +84,6 @@ class Rest:
     samples: int
     mean_dps: Floats = field(default_factory=_not_read)
     u_dps: Floats = field(default_factory=_not_read)
-    sample_dps: Floats = field(default_factory=_not_read)
     temperatures_c: Floats = field(default_factory=_not_read)
 
 
@@ -126,15 +123,15 @@ def measure(sensor: Adis16354, dwell_s: float, patience_s: float, *, gyros: bool
         noise = _noise(sensor, stream, now, patience_s)
         scans = _dwell(sensor, stream, noise, window, dwell_s)
     part = sensor.variant
-    mean, u, _ = _mean(scans.accel_mg, part.accel_mg_per_lsb, now)
+    mean, u = _mean(scans.accel_mg, part.accel_mg_per_lsb, now)
     warm = float(scans.column("XTEMP_OUT").mean())
     rest = Rest(mean, u, warm, float(scans.supply_v.mean()), len(scans))
     if not gyros:
         return rest
     lsb = part.lsb(Kind.GYRO, now.gyro_range_dps or 300)[0]
-    mean, u, sample = _mean(scans.gyro_dps, lsb, now)
+    mean, u = _mean(scans.gyro_dps, lsb, now)
     dies = scans.select(TEMP_OUT).values().mean(axis=0)
-    return replace(rest, mean_dps=mean, u_dps=u, sample_dps=sample, temperatures_c=dies)
+    return replace(rest, mean_dps=mean, u_dps=u, temperatures_c=dies)
 
 
 def _noise(sensor: Adis16354, stream: ScanStream, now: Configuration, patience_s: float) -> Floats:
@@ -174,17 +171,16 @@ def _dwell(sensor: Adis16354, stream: ScanStream, noise: Floats, window: int, dw
     return join(blocks)
 
 
-def _mean(values: Floats, lsb: float, now: Configuration) -> tuple[Floats, Floats, Floats]:
-    """Return means (3,) of the samples `values` (n, 3), the u of the means (3,), and the noise (3,).
+def _mean(values: Floats, lsb: float, now: Configuration) -> tuple[Floats, Floats]:
+    """Return means (3,) of the samples `values` (n, 3), and the u of the means (3,).
 
-    The noise is the standard deviation of a single sample. `lsb` is the step of the samples, `now` the
-    sensor's configuration.
+    `lsb` is the step of the samples, `now` the sensor's configuration.
     """
     deviation = values.std(axis=0, ddof=1)
     # The filter does not reduce noise at the lowest frequencies: use the noise of unfiltered samples.
     spread = deviation / white_noise_gain(now.filter_m)
     rounding = lsb / np.sqrt(12) * np.where(deviation > lsb, 1 / np.sqrt(len(values)), 1.0)
-    return values.mean(axis=0), np.hypot(spread / np.sqrt(len(values)), rounding), deviation
+    return values.mean(axis=0), np.hypot(spread / np.sqrt(len(values)), rounding)
 
 
 SIGMAS = 4.0
@@ -486,9 +482,7 @@ class Gyros(_Half):
             self.figures.gyro_supply_sensitivity_dps_per_v * volts,
         )
 
-    def compare_autonull(
-        self, plan: WritePlan, rest: Rest, nulled: Numbers, samples: float | None
-    ) -> Agreement:
+    def compare_autonull(self, plan: WritePlan, rest: Rest, nulled: Numbers, samples: float) -> Agreement:
         """Compare the zero rates found by the chip's autonull with the session's, in the pose of a dwell.
 
         Both are for the offsets during the recording, and include the effect of force in this pose.
@@ -501,15 +495,14 @@ class Gyros(_Half):
             A dwell in this pose, with gyros.
         nulled : mapping of str to int
             Numbers that the chip wrote to its registers.
-        samples : float or None
-            Number of samples that a precision autonull averages; None for the quick autonull, which takes
-            one filtered sample.
+        samples : float
+            Number of samples that the autonull averages.
         """
         zero, u = self.zero(rest)
         lsb = plan.axes[0].lsb
         chip = np.array([(axis.recorded - nulled[axis.register]) * lsb for axis in plan.axes])
         # White noise of a mean falls with the root of its length; the dwell before gives its size.
-        noise = rest.sample_dps if samples is None else rest.u_dps * np.sqrt(rest.samples / samples)
+        noise = rest.u_dps * np.sqrt(rest.samples / samples)
         u = np.sqrt(noise**2 + lsb**2 / 12 + u**2 + self.wander_since(rest) ** 2)
         force = ", ".join(signed(each, 3) for each in self.gyro.force_part(rest.mean_mg / 1000))
         what = f"zero rates in this pose by the chip against the session ({force} °/s of it by force)"

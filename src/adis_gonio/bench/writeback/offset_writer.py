@@ -359,17 +359,12 @@ class OffsetWriter:
             journal.note(WriteStep.DONE)
         return self._outcome(endurance)
 
-    def autonull(self, *, precise: bool = False) -> WriteResult:
-        """Run the chip's autonull of its gyros; undo it if it disagrees with the session.
+    def autonull(self) -> WriteResult:
+        """Run the chip's precision autonull of its gyros (30 s); undo it if it disagrees with the session.
 
         The sensor must be at rest. The autonull includes the effect of force in this pose, and so does the
         zero rate of the session with which it is compared. The sensor saves the result to flash
         automatically, with all registers that have a flash copy; an undo writes the flash once more.
-
-        Parameters
-        ----------
-        precise : bool
-            True to average over some 30 s instead of one filtered sample.
 
         Raises
         ------
@@ -393,13 +388,13 @@ class OffsetWriter:
         with self._journal(operation) as journal:
             journal.note(WriteStep.SAVING, endurance=endurance, beside=self._other_offsets())
             with self._reporting_state():
-                _ = self.sensor.precision_autonull() if precise else self.sensor.autonull()
+                self.sensor.precision_autonull()
                 nulled, after = self._read()
                 journal.note(WriteStep.SAVED, new=nulled, endurance_after=after)
                 journal.note(WriteStep.DONE)
         self.session = load(self.path)
         rate = self.sensor.configuration().sample_rate_hz
-        found = part.compare_autonull(plan, before, nulled, PRECISE_S * rate if precise else None)
+        found = part.compare_autonull(plan, before, nulled, PRECISE_S * rate)
         self._tell(f"the chip's autonull gives {_format_numbers(nulled)}; {found}")
         if not found.agrees:
             undone = self.undo()

@@ -140,10 +140,9 @@ def _judge(recordings: tuple[Path, ...], variant: str, *, as_json: bool) -> int:
 @option.flag(
     "--gyros", help="Write the zero rates of the gyros (XGYRO_OFF …) instead of accelerometer biases."
 )
-@click.option(
-    "--autonull", type=click.Choice(["quick", "precise"]),
-    help="With --gyros: let the chip null its gyros, and keep the result if it agrees with the session;"
-    " precise takes 30 s. The chip saves the result to flash.",
+@option.flag(
+    "--autonull", help="With --gyros: let the chip null its gyros (30 s) and save that to flash; keep the"
+    " result if it agrees with the session."
 )  # fmt: skip
 @option.flag("--even-if-inadequate", help="Write even if the fit is inadequate.")
 @option.no_check
@@ -216,9 +215,7 @@ def write_command(
     return 0 if known else 1
 
 
-def _write(
-    writer: OffsetWriter, *, yes: bool, dry_run: bool, quiet: bool, null: str | None
-) -> dict[str, Any]:
+def _write(writer: OffsetWriter, *, yes: bool, dry_run: bool, quiet: bool, null: bool) -> dict[str, Any]:
     plan = writer.plan()
     if not quiet:
         _print_plan(plan)
@@ -237,11 +234,8 @@ def _write(
     if answer == "leave":
         say("nothing was changed")
         return document
-    if answer == "null":
-        done = writer.autonull(precise=null == "precise")
-    else:
-        done = writer.undo() if answer == "back" else writer.write()
-    return document | {"done": True} | done.as_dict()
+    act = {"null": writer.autonull, "back": writer.undo}.get(answer, writer.write)
+    return document | {"done": True} | act().as_dict()
 
 
 def _undo(writer: OffsetWriter, *, yes: bool) -> dict[str, Any]:
