@@ -238,7 +238,7 @@ def drawn_again(
     extra = sum((one.length[one.keys.index(key)] * a) ** 2 for key, a in amplitudes.items())
     total = sum(part.dof for part in one.scatter)
     scatter = tuple(
-        replace(part, chi2=float(rng.chisquare(part.dof)) + extra * part.dof / total)
+        part._replace(chi2=float(rng.chisquare(part.dof)) + extra * part.dof / total)
         for part in one.scatter
     )
     return replace(one, z=noise @ one.directions, scatter=scatter, digest=f"{index:06d}", serial=f"{index}")
