@@ -108,13 +108,14 @@ def by_hand(
     plan_name: str = "four-position",
     positions: int | None = None,
     settings: Settings = QUICK,
+    so_far: bool = False,
     **hand: object,
 ) -> tuple[list[Event], Hand]:
-    """Run a session by hand to its end."""
+    """Run a session by hand to its end; with `so_far` its dwells are fitted after each."""
     runner = SessionRunner.begin(sensor, path, plan(plan_name, positions), settings, fixture_sigma_deg=0.02)
     operator = Hand(sensor, **hand)
     events = []
-    for event in runner.run():
+    for event in runner.run(so_far=so_far):
         events.append(event)
         operator.see(runner, event)
     return events, operator

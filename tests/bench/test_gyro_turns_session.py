@@ -190,7 +190,7 @@ def test_a_session_that_is_stopped_within_a_turn_resumes_to_the_same_result(reco
     settings = replace(QUICK, registers=tuple(scanned))
     with open_sensor(URL) as sensor:
         runner = SessionRunner.begin(sensor, path, PLAN, settings, auto=True, fixture_sigma_deg=0.05)
-        for event in runner.run():
+        for event in runner.run(so_far=False):
             if isinstance(event, TurnProgress) and event.state == "turn" and _dwells(path) == 5:
                 runner.stop()
     assert _dwells(path) == 5
@@ -269,7 +269,7 @@ def by_hand(tmp_path, until, url="sim:?seed=3&move_speed_dps=120", **turner):
     with hand_sensor(url) as sensor:
         runner = SessionRunner.begin(sensor, path, PLAN, QUICK)
         operator = Turner(sensor, **turner)
-        for event in runner.run():
+        for event in runner.run(so_far=False):
             events.append(event)
             operator.see(runner, event)
             reached = isinstance(event, PositionAsked) and event.place == until
@@ -406,7 +406,7 @@ def test_a_session_whose_turns_are_recorded_resumes_to_the_same_samples(tmp_path
                 if isinstance(event, PositionAsked) and event.place == until:
                     runner.stop()
     with open_sensor("sim:?seed=1&hand_moves=1") as sensor:
-        list(SessionRunner.resume(sensor, broken, auto=True).run())
+        list(SessionRunner.resume(sensor, broken, auto=True).run(so_far=False))
     one, other = load_session(broken), load_session(whole)
     for mine, theirs in zip((*one.dwells, *one.turns[2:]), (*other.dwells, *other.turns[2:]), strict=True):
         assert np.array_equal(mine.gyro, theirs.gyro)

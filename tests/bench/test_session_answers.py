@@ -49,7 +49,7 @@ def path(tmp_path):
 def run(runner, answer) -> list[Event]:
     """All events of a session; `answer` gets each, positions are confirmed where it does nothing."""
     events = []
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         events.append(event)
         if not answer(event) and isinstance(event, PositionAsked):
             runner.confirm()
@@ -124,7 +124,7 @@ def test_a_withdrawn_dwell_stays_withdrawn_over_a_break_and_a_simulation_goes_on
 
 def test_nothing_can_be_undone_before_the_first_dwell(sensor, path):
     runner = SessionRunner.begin(sensor, path, plan(), QUICK)
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         if isinstance(event, PositionAsked):
             assert not event.can_undo
             with pytest.raises(UsageError, match="open question"):

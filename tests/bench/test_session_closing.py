@@ -89,7 +89,7 @@ def run(
                 **options,
             )
         )
-        steps = runner.run()
+        steps = runner.run(so_far=False)
         for event in steps:
             events.append(event)
             if answer is not None:

@@ -89,7 +89,7 @@ def visit(
 ) -> list[Event]:
     """Run a session; the first dwell at a place gets a glitch; end it when an event of a type comes."""
     glitches = Glitches(sensor.bus.world)
-    events, run = [], runner.run()
+    events, run = [], runner.run(so_far=False)
     for event in run:
         if isinstance(event, DwellProgress) and event.place == glitch_at and not glitches.begin_s:
             glitches.begin_s.append(sensor.bus.now_s() + 0.1)
@@ -172,7 +172,7 @@ def test_a_faulty_dwell_of_an_earlier_run_is_taken_again_by_repeat(sensor, path)
     visit(SessionRunner.begin(sensor, path, plan(), SETTINGS), sensor, stop=GuardRaised)
     with open_sensor(URL) as again:
         runner, events = SessionRunner.resume(again, path), []
-        for event in runner.run():
+        for event in runner.run(so_far=False):
             events.append(event)
             if isinstance(event, ExtensionOffered):
                 (runner.decline if of(events, DwellDone) else runner.repeat)()
@@ -191,7 +191,7 @@ def test_an_automatic_session_keeps_the_dwell_and_says_so(sensor, path):
 def visit_auto(runner: SessionRunner, sensor: Adis16354) -> list[Event]:
     glitches = Glitches(sensor.bus.world)
     events = []
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         if isinstance(event, DwellProgress) and event.place == 1 and not glitches.begin_s:
             glitches.begin_s.append(sensor.bus.now_s() + 0.1)
         events.append(event)
@@ -202,7 +202,7 @@ def test_a_fault_outside_the_dwell_is_not_charged_to_it(sensor, path):
     glitches = Glitches(sensor.bus.world)
     runner = SessionRunner.begin(sensor, path, plan(), SETTINGS)
     events = []
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         if isinstance(event, StageMoved):
             glitches.begin_s.append(sensor.bus.now_s())
         events.append(event)

@@ -63,7 +63,7 @@ def right(sensor, path):
 
 
 def test_a_careful_operator_is_asked_nothing_and_both_gravity_and_gyro_tell_the_turn(sensor, path):
-    events, hand = by_hand(sensor, path)
+    events, hand = by_hand(sensor, path, so_far=True)
     assert not hand.guards
     turns = of(events, TurnMeasured)
     assert [turn.asked_deg for turn in turns] == [90.0, 90.0, 90.0]
@@ -128,7 +128,7 @@ def test_a_contradiction_is_settled_by_taking_the_first_dwell_again(sensor, path
     wrong_first = lambda event, times: 90.0 if event.place == 0 and times == 0 else event.position.angle_deg  # noqa: E731
     runner = SessionRunner.begin(sensor, path, plan("four-position"), QUICK, fixture_sigma_deg=0.02)
     hand, undone = Hand(sensor, wrong_first, lambda event, times: "skip"), False
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         if isinstance(event, PositionAsked) and hand.guards and not undone:
             undone = True
             runner.undo()
@@ -161,14 +161,14 @@ def test_reversed_is_kept_over_a_break_and_not_asked_again(path):
     with hand_sensor() as sensor:
         runner = SessionRunner.begin(sensor, path, plan("four-position"), QUICK, fixture_sigma_deg=0.02)
         hand = Hand(sensor, backwards, lambda event, times: "reverse")
-        for event in runner.run():
+        for event in runner.run(so_far=False):
             hand.see(runner, event)
             if isinstance(event, PositionAsked) and event.place == 2:
                 runner.stop()
     with hand_sensor() as sensor:
         hand = Hand(sensor, backwards)
         runner = SessionRunner.resume(sensor, path)
-        for event in runner.run():
+        for event in runner.run(so_far=False):
             hand.see(runner, event)
         assert not hand.guards
         assert event.complete
@@ -217,7 +217,7 @@ def test_two_swapped_positions_are_told_at_the_first_of_them(sensor, path):
 def test_a_part_that_lies_flat_is_told_by_the_sign_of_z(sensor, path):
     runner = SessionRunner.begin(sensor, path, plan(), QUICK, fixture_sigma_deg=0.02)
     raised = None
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         if isinstance(event, PositionAsked):
             sensor.bus.inner.stage.orient([0.0, 0.0, -1.0])
             runner.confirm()
@@ -233,7 +233,7 @@ def test_a_part_that_lies_flat_is_told_by_the_sign_of_z(sensor, path):
 def test_a_turn_about_another_axis_is_named_by_the_gyros(sensor, path):
     runner = SessionRunner.begin(sensor, path, plan(), QUICK, fixture_sigma_deg=0.02)
     hand, raised = Hand(sensor), []
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         if isinstance(event, PositionAsked) and event.place == 1:
             # X points down: turned about it, gravity sees nothing; the gyro of X does.
             world, sample, begin_s = (
@@ -282,7 +282,7 @@ def test_a_first_dwell_at_a_wrong_place_can_be_undone_when_right_turns_look_wron
     wrong_first = lambda event, times: 90.0 if event.place == 0 and times == 0 else event.position.angle_deg  # noqa: E731
     runner = SessionRunner.begin(sensor, path, plan("four-position"), QUICK, fixture_sigma_deg=0.02)
     hand, undone = Hand(sensor, wrong_first), False
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         if isinstance(event, PositionAsked) and len(hand.guards) == 3 and not undone:
             undone = True
             runner.undo()
@@ -302,7 +302,7 @@ def test_a_part_that_slips_within_a_dwell_is_told_with_its_shift(sensor, path):
         sensor, path, plan(), Settings(dwell_s=3.0, settle_s=0.1), fixture_sigma_deg=0.02
     )
     hand, slipped = Hand(sensor), False
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         if isinstance(event, DwellProgress) and event.place == 1 and not slipped:
             slipped = True
             hand.turn(92.0)
@@ -345,7 +345,7 @@ def bumped(sensor, path, times):
         sensor, path, plan(), Settings(dwell_s=1.0, settle_s=0.1), fixture_sigma_deg=0.02
     )
     hand, events, fresh = Hand(sensor), [], True
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         events.append(event)
         if isinstance(event, DwellProgress) and event.place == 1 and fresh and len(hits) < times:
             hits.append(sensor.bus.now_s() + 0.05)
@@ -374,7 +374,7 @@ def test_a_step_of_temperature_or_supply_within_a_dwell_is_told(sensor, path, ki
         sensor, path, plan(), Settings(dwell_s=3.0, settle_s=0.1), fixture_sigma_deg=0.02
     )
     hand, events = Hand(sensor), []
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         events.append(event)
         if isinstance(event, DwellProgress) and event.place == 1 and not steps:
             steps.append(sensor.bus.now_s() + 1.4)
@@ -408,7 +408,7 @@ def test_a_stuck_axis_is_asked_about_and_the_session_goes_on_once_it_lives(senso
         sensor, path, plan(), Settings(dwell_s=2.0, settle_s=0.1), fixture_sigma_deg=0.02
     )
     hand, once = Hand(sensor, answer=answer), False
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         if isinstance(event, DwellProgress) and event.place == 0 and not once:
             once = stuck["on"] = True
         hand.see(runner, event)
@@ -423,7 +423,7 @@ def test_a_stuck_axis_is_asked_about_and_the_session_goes_on_once_it_lives(senso
 def test_a_pose_that_is_not_new_and_one_the_other_way_up_are_told(sensor, path):
     runner = SessionRunner.begin(sensor, path, plan("poses", 9), QUICK)
     kinds, asked = [], {}
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         if isinstance(event, PositionAsked):
             times = asked[event.place] = asked.get(event.place, 0) + 1
             wanted = np.array(event.position.direction)
@@ -455,7 +455,7 @@ def test_with_nobody_to_ask_a_guard_is_a_problem_and_the_session_goes_on(path):
         stage = sensor.bus.stage
         sensor.bus.stage = Jammed(stage)
         runner = SessionRunner.begin(sensor, path, plan("four-position"), QUICK, auto=True)
-        events = list(runner.run())
+        events = list(runner.run(so_far=False))
     assert not of(events, GuardRaised)
     assert [problem.kind for problem in of(events, Problem)] == ["not_moved"] * 3
     assert len(of(events, DwellDone)) == 4

@@ -64,7 +64,9 @@ def path(tmp_path: Path) -> Path:
 
 def auto(path: Path, made: Plan | None = None, settings: Settings = SHORT, url: str = URL) -> list[Event]:
     with open_sensor(url) as opened:
-        return list(SessionRunner.begin(opened, path, made or plan(), settings, auto=True).run())
+        return list(
+            SessionRunner.begin(opened, path, made or plan(), settings, auto=True).run(so_far=False)
+        )
 
 
 def of(events: list[Event], *kinds: type[Event]) -> list[Event]:
@@ -196,7 +198,7 @@ def test_a_polled_bus_gives_the_same_kind_of_session(path):
 def test_a_part_that_starts_in_motion_is_waited_for(sensor, path):
     runner = SessionRunner.begin(sensor, path, plan(), SHORT, auto=True)
     rest = 0
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         if isinstance(event, Watching) and event.state == "measuring" and rest < 12:
             rest += 1
             sensor.bus.stage.move_to(5.0 * (rest % 3))
@@ -212,7 +214,7 @@ def test_a_part_that_starts_in_motion_is_waited_for(sensor, path):
 def test_motion_breaks_a_dwell_off_and_it_begins_anew(sensor, path):
     runner = SessionRunner.begin(sensor, path, plan(), SHORT, auto=True)
     events, nudged = [], False
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         events.append(event)
         if isinstance(event, DwellProgress) and not nudged and event.elapsed_s > 0.4:
             nudged = True
@@ -242,7 +244,7 @@ def test_a_part_that_never_rests_ends_an_automatic_session_in_one_line(sensor, p
         return ScanBlock(block.registers, words, block.time_s, block.lost)
 
     alter(sensor, monkeypatch, shake)
-    run = runner.run()
+    run = runner.run(so_far=False)
     for event in run:
         if isinstance(event, NoiseMeasured):
             shaking = True
@@ -268,7 +270,7 @@ def test_a_part_that_never_rests_is_asked_for_again_where_there_is_an_operator(s
 
     alter(sensor, monkeypatch, shake)
     asked = []
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         if isinstance(event, PositionAsked):
             asked.append(event.place)
             shaking = len(asked) == 1
@@ -294,7 +296,7 @@ def test_a_bench_that_stays_noisier_than_at_the_begin_is_measured_anew(sensor, p
 
     alter(sensor, monkeypatch, shake)
     asked, measured = [], []
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         if isinstance(event, NoiseMeasured):
             measured.append(event.noise_mg)
         if isinstance(event, PositionAsked):
@@ -321,7 +323,7 @@ def test_a_stuck_axis_is_an_error_not_stillness(sensor, path, monkeypatch, when)
         return ScanBlock(block.registers, words, block.time_s, block.lost)
 
     alter(sensor, monkeypatch, freeze)
-    run = SessionRunner.begin(sensor, path, plan(), SHORT, auto=True).run()
+    run = SessionRunner.begin(sensor, path, plan(), SHORT, auto=True).run(so_far=False)
     for event in run:
         if isinstance(event, DwellProgress) or stuck:
             break
@@ -346,7 +348,7 @@ def test_a_bus_that_fails_within_a_dwell_keeps_the_samples(sensor, path, monkeyp
 
     alter(sensor, monkeypatch, fail)
     with pytest.raises(BusTimeoutError):
-        list(SessionRunner.begin(sensor, path, plan(), Settings(dwell_s=5), auto=True).run())
+        list(SessionRunner.begin(sensor, path, plan(), Settings(dwell_s=5), auto=True).run(so_far=False))
     with ArchiveView(path) as view:
         (stored,) = view.attempts()
         assert (stored.outcome, stored.reason) == ("interrupted", "sim: no answer")
@@ -354,7 +356,7 @@ def test_a_bus_that_fails_within_a_dwell_keeps_the_samples(sensor, path, monkeyp
 
 
 def test_a_front_end_that_goes_away_keeps_the_samples(sensor, path):
-    run = SessionRunner.begin(sensor, path, plan(), SHORT, auto=True).run()
+    run = SessionRunner.begin(sensor, path, plan(), SHORT, auto=True).run(so_far=False)
     for event in run:
         if isinstance(event, DwellProgress) and event.elapsed_s > 0.5:
             break
@@ -370,7 +372,7 @@ def test_lost_scans_are_counted_and_told(sensor, path, monkeypatch):
         return ScanBlock(block.registers, block.words, block.time_s, 1)
 
     alter(sensor, monkeypatch, lose)
-    events = list(SessionRunner.begin(sensor, path, plan(), SHORT, auto=True).run())
+    events = list(SessionRunner.begin(sensor, path, plan(), SHORT, auto=True).run(so_far=False))
     for done in of(events, DwellDone):
         assert 5 <= done.lost <= 12
     problems = of(events, Problem)
@@ -398,7 +400,7 @@ def test_a_low_supply_is_told_by_value_and_by_status(path):
 def test_a_question_stands_until_it_is_answered_and_the_sensor_is_watched_meanwhile(sensor, path):
     runner = SessionRunner.begin(sensor, path, plan(), SHORT)
     watched, question = 0, None
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         if isinstance(event, PositionAsked | ExtensionOffered):
             watched, question = 0, event
         if isinstance(event, Watching) and event.state == "idle":
@@ -417,7 +419,7 @@ def test_answers_may_come_from_another_thread(sensor, path):
     def answer() -> None:
         (runner.confirm if isinstance(asked[-1], PositionAsked) else runner.decline)()
 
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         if isinstance(event, PositionAsked | ExtensionOffered):
             asked.append(event)
             thread = threading.Thread(target=answer)
@@ -429,7 +431,7 @@ def test_answers_may_come_from_another_thread(sensor, path):
 
 def test_skip_leaves_a_position_out_for_good(sensor, path):
     runner = SessionRunner.begin(sensor, path, plan("four-position"), SHORT)
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         if isinstance(event, PositionAsked):
             (runner.skip if event.place == 1 else runner.confirm)()
     assert isinstance(event, Finished)
@@ -443,7 +445,7 @@ def test_repeat_does_the_last_dwell_again_and_keeps_both(sensor, path):
     runner = SessionRunner.begin(sensor, path, plan("four-position"), SHORT)
     repeated = False
     order = []
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         if isinstance(event, PositionAsked):
             if event.place == 2 and not repeated:
                 repeated = True
@@ -461,7 +463,7 @@ def test_repeat_does_the_last_dwell_again_and_keeps_both(sensor, path):
 
 def test_repeat_is_not_offered_before_the_first_dwell(sensor, path):
     runner = SessionRunner.begin(sensor, path, plan(), SHORT)
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         if isinstance(event, PositionAsked):
             assert not event.can_undo
             with pytest.raises(UsageError, match="open question"):
@@ -474,7 +476,7 @@ def test_repeat_is_not_offered_before_the_first_dwell(sensor, path):
 def test_stop_within_a_dwell_keeps_it_as_interrupted_and_the_session_resumes(sensor, path):
     runner = SessionRunner.begin(sensor, path, plan(), SHORT, auto=True)
     events = []
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         events.append(event)
         if isinstance(event, DwellProgress) and event.place == 1:
             runner.stop()
@@ -483,14 +485,14 @@ def test_stop_within_a_dwell_keeps_it_as_interrupted_and_the_session_resumes(sen
     assert of(events, DwellInterrupted)[0].reason == "stopped by the operator"
     assert "unfinished session: 1 of 2" in read_session(path).notes[0]
     with open_sensor(URL) as again:
-        last = list(SessionRunner.resume(again, path, auto=True).run())[-1]
+        last = list(SessionRunner.resume(again, path, auto=True).run(so_far=False))[-1]
     assert isinstance(last, Finished)
     assert last.complete
 
 
 def test_a_resumed_session_tells_the_result_so_far_before_it_asks(sensor, path):
     runner = SessionRunner.begin(sensor, path, plan("four-position"), SHORT, auto=True)
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         if isinstance(event, DwellDone) and event.place == 2:
             runner.stop()
     with open_sensor(URL) as again:
@@ -509,7 +511,7 @@ def test_after_two_positions_the_session_says_what_it_cannot_see_and_goes_on_to_
         runner = SessionRunner.begin(opened, path, plan(), SHORT, auto=True)
         offered = None
         places = []
-        for event in runner.run():
+        for event in runner.run(so_far=False):
             if isinstance(event, ExtensionOffered):
                 offered = event
                 runner.accept()
@@ -526,7 +528,7 @@ def test_after_two_positions_the_session_says_what_it_cannot_see_and_goes_on_to_
 
 
 def test_extend_accepts_by_itself_and_without_it_an_automatic_session_declines(sensor, path):
-    list(SessionRunner.begin(sensor, path, plan(), SHORT, auto=True, extend=True).run())
+    list(SessionRunner.begin(sensor, path, plan(), SHORT, auto=True, extend=True).run(so_far=False))
     assert len(read_session(path).dwells) == 4
     other = path.with_name("b.session")
     auto(other)
@@ -543,7 +545,7 @@ def test_a_resumed_simulated_session_equals_the_undisturbed_one_to_the_bit(tmp_p
     url = f"sim:?seed=5&fixture_sigma_deg=0.1&backlash_deg=0.05&self_heating_c=5&stream={stream}"
     auto(whole, made, url=url)
     with open_sensor(url) as opened:
-        run = SessionRunner.begin(opened, parts, made, SHORT, auto=True).run()
+        run = SessionRunner.begin(opened, parts, made, SHORT, auto=True).run(so_far=False)
         done = 0
         for event in run:
             done += isinstance(event, DwellDone)
@@ -553,7 +555,7 @@ def test_a_resumed_simulated_session_equals_the_undisturbed_one_to_the_bit(tmp_p
     with Archive.open_existing(parts) as archive:
         assert len(archive.dwells()) == stop_after
     with open_sensor(url) as opened:
-        events = list(SessionRunner.resume(opened, parts, auto=True).run())
+        events = list(SessionRunner.resume(opened, parts, auto=True).run(so_far=False))
     assert len(of(events, DwellDone)) == 6 - stop_after
     assert isinstance(events[0], Started)
     assert events[0].resumed
@@ -570,11 +572,11 @@ def test_a_fault_that_had_passed_does_not_come_back_with_resuming(tmp_path):
     settings = Settings(dwell_s=4.0, settle_s=0.1)
     assert {p.kind for p in of(auto(whole, made, settings, url=url), Problem)} == {"alarm", "supply"}
     with open_sensor(url) as opened:
-        run = SessionRunner.begin(opened, parts, made, settings, auto=True).run()
+        run = SessionRunner.begin(opened, parts, made, settings, auto=True).run(so_far=False)
         next(event for event in run if isinstance(event, DwellDone))
         run.close()
     with open_sensor(url) as opened:
-        list(SessionRunner.resume(opened, parts, auto=True).run())
+        list(SessionRunner.resume(opened, parts, auto=True).run(so_far=False))
 
     def words(path: Path) -> list[np.ndarray]:
         with ArchiveView(path) as view:
@@ -593,7 +595,7 @@ def test_twice_resumed_after_motion_equals_the_undisturbed_one(tmp_path):
             with open_sensor(url) as opened:
                 make = SessionRunner.resume if path.exists() else SessionRunner.begin
                 args = () if path.exists() else (plan("four-position"), SHORT)
-                events = make(opened, path, *args, auto=True).run()
+                events = make(opened, path, *args, auto=True).run(so_far=False)
                 finished = False
                 for event in events:
                     # The same knock in every life: the world line with an interruption in it.
@@ -629,7 +631,7 @@ def test_a_finished_session_has_nothing_to_resume(path):
     auto(path, plan("four-position"))
     before = read_session(path)
     with open_sensor(URL) as opened:
-        events = list(SessionRunner.resume(opened, path, auto=True).run())
+        events = list(SessionRunner.resume(opened, path, auto=True).run(so_far=False))
     assert not of(events, DwellDone)
     assert isinstance(events[-1], Finished)
     assert events[-1].complete
@@ -639,7 +641,7 @@ def test_a_finished_session_has_nothing_to_resume(path):
 def test_a_declined_extension_is_offered_again_when_resumed(path):
     auto(path)
     with open_sensor(URL) as opened:
-        list(SessionRunner.resume(opened, path, auto=True, extend=True).run())
+        list(SessionRunner.resume(opened, path, auto=True, extend=True).run(so_far=False))
     assert len(read_session(path).dwells) == 4
 
 
@@ -663,14 +665,14 @@ def test_resuming_a_sensor_whose_offsets_were_changed_is_one_line(path):
         opened.write("XACCL_OFF", 12)
         runner = SessionRunner.resume(opened, path, auto=True)
         with pytest.raises(SessionError, match="XACCL_OFF was 0 and is 12"):
-            list(runner.run())
+            list(runner.run(so_far=False))
     with ArchiveView(path) as view:
         assert len(view.runs()) == 1
 
 
 def run_until(path: Path, dwells: int) -> None:
     with open_sensor(URL) as opened:
-        run = SessionRunner.begin(opened, path, plan("four-position"), SHORT, auto=True).run()
+        run = SessionRunner.begin(opened, path, plan("four-position"), SHORT, auto=True).run(so_far=False)
         done = 0
         for event in run:
             done += isinstance(event, DwellDone)
@@ -690,13 +692,13 @@ def test_a_real_sensor_goes_on_with_time_that_increases(path):
     """The second life's clock starts earlier than the first one ended, as after a reboot."""
     with Adis16354(HandBus(URL, starts_at_s=5000.0, virtual_time=False)) as opened:
         runner = SessionRunner.begin(opened, path, plan(), SHORT)
-        for event in runner.run():
+        for event in runner.run(so_far=False):
             if isinstance(event, PositionAsked):
                 (runner.confirm if event.place == 0 else runner.stop)()
     with Adis16354(HandBus(URL, starts_at_s=3.0, virtual_time=False)) as opened:
         opened.bus.inner.stage.move_to(90.0)
         runner = SessionRunner.resume(opened, path)
-        for event in runner.run():
+        for event in runner.run(so_far=False):
             if isinstance(event, PositionAsked):
                 assert event.place == 1
                 runner.confirm()
@@ -723,13 +725,13 @@ def test_poses_are_recorded_without_angle_and_resume_to_the_bit(path):
     assert np.abs(means - wanted).max() < 0.06
     parts = path.with_name("b.session")
     with open_sensor(URL) as opened:
-        run = SessionRunner.begin(opened, parts, made, SHORT, auto=True).run()
+        run = SessionRunner.begin(opened, parts, made, SHORT, auto=True).run(so_far=False)
         for event in run:
             if isinstance(event, DwellDone) and event.place == 3:
                 break
         run.close()
     with open_sensor(URL) as opened:
-        list(SessionRunner.resume(opened, parts, auto=True).run())
+        list(SessionRunner.resume(opened, parts, auto=True).run(so_far=False))
     assert same_dwells(path, parts)
 
 
@@ -737,7 +739,7 @@ def test_an_operator_may_hold_the_part_in_any_pose(path):
     rng = np.random.default_rng(2)
     with Adis16354(HandBus(URL, starts_at_s=0.0, virtual_time=False)) as opened:
         runner = SessionRunner.begin(opened, path, plan("poses", 9), SHORT)
-        for event in runner.run():
+        for event in runner.run(so_far=False):
             if isinstance(event, PositionAsked):
                 opened.bus.inner.stage.orient(rng.standard_normal(3))
                 runner.confirm()
@@ -806,9 +808,9 @@ def test_circumstances_that_cannot_be_are_one_line(sensor, path, change, words):
 
 def test_a_runner_runs_once(sensor, path):
     runner = SessionRunner.begin(sensor, path, plan(), SHORT, auto=True)
-    list(runner.run())
+    list(runner.run(so_far=False))
     with pytest.raises(UsageError, match="runs once"):
-        next(runner.run())
+        next(runner.run(so_far=False))
 
 
 def test_events_become_json(path):

@@ -269,7 +269,7 @@ def _one_run(part: HandPart, person: Person, path: Path, chosen, outcome: Outcom
         runner = runner_of(sensor, path, chosen)
         hand, dwelling = EventHand(person, runner, bus, outcome), False
         try:
-            for event in runner.run():
+            for event in runner.run(so_far=False):
                 hand.see(event)
                 dwelling = isinstance(event, DwellProgress)
                 if isinstance(event, Finished):

@@ -27,14 +27,14 @@ def test_a_session_is_not_resumed_on_a_chip_whose_offset_was_changed(tmp_path):
     path = tmp_path / "a.session"
     with open_sensor(URL) as sensor:
         runner = SessionRunner.begin(sensor, path, plan("four-position"), SHORT, auto=True)
-        for event in runner.run():
+        for event in runner.run(so_far=False):
             if isinstance(event, DwellDone):
                 runner.stop()
     with open_sensor(URL) as sensor:
         sensor.write("XACCL_OFF", 5)
         runner = SessionRunner.resume(sensor, path, auto=True)
         with pytest.raises(SessionError, match=r"XACCL_OFF was 0 and is 5"):
-            list(runner.run())
+            list(runner.run(so_far=False))
 
 
 def test_values_come_back_from_the_archive_to_the_last_bit(tmp_path):

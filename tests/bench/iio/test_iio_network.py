@@ -35,7 +35,7 @@ def url_of(server, more=""):
 def run(runner, server, *, stop_after=None):
     """Run a session; the operator is this program, who turns the served sensor's stage."""
     last, done = None, 0
-    for last in runner.run():
+    for last in runner.run(so_far=False):
         if isinstance(last, PositionAsked):
             server.sensor.bus.stage.move_to(last.position.angle_deg, 1)
             runner.confirm()

@@ -548,7 +548,7 @@ def test_a_resumed_session_refuses_a_part_with_other_offsets(path):
     bus = new_bus(3)
     wrote(bus, path)
     with Adis16354(bus) as sensor, pytest.raises(SessionError, match="XACCL_OFF was 0 and is -32"):
-        list(SessionRunner.resume(sensor, path, auto=True).run())
+        list(SessionRunner.resume(sensor, path, auto=True).run(so_far=False))
 
 
 def test_an_unfinished_session_goes_on_as_if_nothing_had_been_once_it_is_undone(tmp_path):
@@ -562,14 +562,14 @@ def test_an_unfinished_session_goes_on_as_if_nothing_had_been_once_it_is_undone(
     settings = Settings(dwell_s=1.0, settle_s=0.1)
     runner = SessionRunner.begin(Adis16354(new_bus(3)), path, plan("four-position"), settings, auto=True)
     done = 0
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         done += isinstance(event, DwellDone)
         if done == 3:
             runner.stop()
     bus = new_bus(3)
     wrote(bus, path, WriteSettings(dwell_s=0.5, doubtful=True))
     writer(bus, path).undo()
-    list(SessionRunner.resume(Adis16354(new_bus(3)), path, auto=True).run())
+    list(SessionRunner.resume(Adis16354(new_bus(3)), path, auto=True).run(so_far=False))
     for a, b in zip(load_session(whole).dwells, load_session(path).dwells, strict=True):
         assert np.array_equal(a.accel, b.accel)
         assert np.array_equal(a.time_s, b.time_s)
@@ -638,4 +638,4 @@ def test_a_session_that_was_written_back_names_the_undo_when_it_is_resumed(tmp_p
     wrote(bus, path)
     again = SessionRunner.resume(Adis16354(bus), path, auto=True)
     with pytest.raises(SessionError, match=r"by adis-gonio write .*a\.session .* --undo, or begin"):
-        list(again.run())
+        list(again.run(so_far=False))

@@ -22,7 +22,7 @@ def real(tmp_path_factory):
     runner = SessionRunner.begin(
         sensor, path, plan("four-position"), Settings(dwell_s=1.0, settle_s=0.1), auto=True
     )
-    for _ in runner.run():
+    for _ in runner.run(so_far=False):
         pass
     return path
 

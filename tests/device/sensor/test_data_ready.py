@@ -183,7 +183,7 @@ def run(sensor: Adis16354, path: Path, resume: bool = False) -> list:
         SessionRunner.resume(sensor, path) if resume else SessionRunner.begin(sensor, path, plan(), SHORT)
     )
     events = []
-    for event in made.run():
+    for event in made.run(so_far=False):
         events.append(event)
         if type(event).__name__ == "PositionAsked":
             made.confirm()
@@ -224,7 +224,7 @@ def test_a_session_may_be_resumed_where_the_wire_has_come_off(monkeypatch, tmp_p
     path = tmp_path / "a.session"
     with Adis16354(Board(monkeypatch).bus) as sensor:
         runner = SessionRunner.begin(sensor, path, plan(), SHORT)
-        for event in runner.run():
+        for event in runner.run(so_far=False):
             if type(event).__name__ == "PositionAsked":
                 (runner.confirm if event.place == 0 else runner.stop)()
     with Adis16354(Board(monkeypatch, wired=False).bus) as sensor:

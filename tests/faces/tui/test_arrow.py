@@ -33,7 +33,7 @@ def test_the_arrow_follows_the_way_asked_and_is_silent_at_its_end_and_while_reco
     hand, state = Hand(sensor), BenchState()
     seen = {"recording": 0, "arrived": 0, "under way": 0, "silent": 0}
     tolerances = []
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         before = state.here
         state.take(event)
         line, task = screen_text.target(state), screen_text.task(state)
@@ -64,7 +64,7 @@ def test_a_turn_of_more_than_half_a_circle_is_counted_on_the_way_asked(tmp_path)
     sensor = Adis16354(HandBus("sim:?seed=1"))
     runner = SessionRunner.begin(sensor, tmp_path / "a.session", BACK, QUICK, fixture_sigma_deg=0.02)
     hand, state, remaining = Hand(sensor), BenchState(), []
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         state.take(event)
         if state.place == 4 and state.more_deg is not None:
             remaining.append(state.more_deg)
@@ -82,7 +82,7 @@ def test_past_it_and_back_is_not_called_there(tmp_path):
     turned = plan("tumble", 4)
     runner = SessionRunner.begin(sensor, tmp_path / "a.session", turned, QUICK, fixture_sigma_deg=0.02)
     hand, state, said = Hand(sensor), BenchState(), []
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         state.take(event)
         if state.question is not None and "past it and back" in screen_text.task(state):
             said.append(screen_text.target(state))
@@ -98,7 +98,7 @@ def test_a_turn_during_a_pause_is_not_counted_and_not_guessed(ends_at, tmp_path)
     runner = SessionRunner.begin(sensor, tmp_path / "a.session", BACK, QUICK, fixture_sigma_deg=0.02)
     hand, state, said = Hand(sensor), BenchState(), []
     paused = False
-    for event in runner.run():
+    for event in runner.run(so_far=False):
         state.take(event)
         if state.place == 4 and paused and state.question is not None and state.tolerance_deg is not None:
             said.append(screen_text.target(state))

@@ -31,7 +31,7 @@ URL = (
 def record(path, **settings):
     with open_sensor(URL) as sensor:
         wanted = Settings(dwell_s=1, settle_s=0.1, **settings)
-        list(SessionRunner.begin(sensor, path, plan("mmpm"), wanted, auto=True).run())
+        list(SessionRunner.begin(sensor, path, plan("mmpm"), wanted, auto=True).run(so_far=False))
     return load_session(path)
 
 
