@@ -263,7 +263,7 @@ def test_attitudes_in_space_are_asked_for_too(path):
 
 
 def measurement(angle: float, **changes: object) -> NextDwell:
-    made = NextDwell(angle, None, 1, 0.0, 5.0, 0.5, "decide", ("quadratic",), ("asymmetry",), "measure")
+    made = NextDwell(angle, None, 1, 0.0, 5.0, 0.5, "decide", (("quadratic",), ("asymmetry",)), "measure")
     return replace(made, **changes)
 
 

@@ -113,7 +113,6 @@ class HandBus(SimBus):
         self._virtual = virtual_time
         self._unplug_s = math.inf
         self.delivered: list[np.ndarray] = []
-        self.chip.frames = self._while_plugged(self.chip.frames)
         self.chip.frames_at = self._while_plugged(self.chip.frames_at)
         if part.direction is not None:
             self.hands.orient(0.0, np.array(part.direction))

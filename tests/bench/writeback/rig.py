@@ -84,11 +84,10 @@ def new_bus(seed: int = 3, part: str = "adis16354", flash=None, endurance: int =
 
 
 def record(path: Path, bus: PowerBus, plan_name="four-position", dwell_s=1.0, **options) -> Path:
-    """A session of the part on a bus."""
+    """A session of the part on a bus; `plan_name` is a plan or the name of one."""
+    made = plan(plan_name) if isinstance(plan_name, str) else plan_name
     sensor, settings = Adis16354(bus, bus.world.variant), Settings(dwell_s=dwell_s, settle_s=0.1)
-    for _ in SessionRunner.begin(sensor, path, plan(plan_name), settings, auto=True, **options).run(
-        so_far=False
-    ):
+    for _ in SessionRunner.begin(sensor, path, made, settings, auto=True, **options).run(so_far=False):
         pass
     return path
 

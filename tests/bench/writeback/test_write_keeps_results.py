@@ -10,6 +10,7 @@ import pytest
 
 from adis_gonio import Adis16354, load_session, open_bus
 from adis_gonio.base.errors import DataError, FitError
+from adis_gonio.bench.gyro_turns import gyro_turns_plan
 from adis_gonio.bench.writeback import (
     OffsetWriter,
     WriteSettings,
@@ -20,6 +21,7 @@ from adis_gonio.device.sensor.registers import GYRO_OFF
 from adis_gonio.faces.cli import main
 from adis_gonio.record.write_journal import operations_of
 from adis_gonio.tracing.trace_calibrations import gyro_calibration_of, load_calibration
+from bench.writeback.rig import OFFSETS, flash, new_bus, record
 
 URL = "sim:?seed=1"
 PLANS = ("two-position", "four-position", "poses", "free-turn", "gyro-turns")
@@ -134,14 +136,17 @@ def test_an_interrupted_write_keeps_the_results(tmp_path):
 
 
 def test_accelerometers_calibrated_before_a_write_serve_a_session_recorded_after_it(tmp_path):
-    flash = f"{URL}&flash={tmp_path / 'part.flash'}"
-    first, second = tmp_path / "first.session", tmp_path / "second.session"
-    assert main(["calibrate", flash, "--plan", "poses", *QUICK, "-o", str(first)]) == 0
+    first = record(tmp_path / "first.session", new_bus(1), "poses")
     exported = tmp_path / "before.json"
     load_calibration(first).save(exported)
-    assert main(["write", str(first), flash, "--yes", "--save", "--even-if-inadequate"]) == 0
-    words = ["--plan", "gyro-turns", "--positions", "3", *QUICK]
-    assert main(["calibrate", flash, *words, "-o", str(second)]) == 0
+    bus = new_bus(1)
+    made = OffsetWriter(Adis16354(bus), first, WriteSettings(save=True, dwell_s=1.0))
+    made.plan()
+    made.write()
+    assert any(flash(bus))
+    later = new_bus(1, flash=dict(zip(OFFSETS, flash(bus), strict=True)))
+    second = record(tmp_path / "second.session", later, gyro_turns_plan(1))
+    assert offsets_recorded(load_session(second)).any()
     by_old, by_new = (
         document("fit", str(second), "--sensor-part", "gyro", "--calibration", str(path))
         for path in (exported, first)
