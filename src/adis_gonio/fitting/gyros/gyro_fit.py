@@ -50,11 +50,11 @@ CALIBRATED = ("g_sensitivity", "gyro_scale", "gyro_misalignment")
 """Effects of the catalogue that a gyro calibration corrects."""
 _EFFECTS = tuple(effect(name, AXES) for name in CALIBRATED)
 DRIFTS = {
-    "drift with time": effect("gyro_drift", AXES, steps=0),
-    "drift from dwell to dwell": effect("gyro_drift", AXES, steps=1),
-    "warm-up": effect("gyro_warm_up", AXES),
+    "gyro with a drift with time": effect("gyro_drift", AXES, steps=0),
+    "gyro with a drift from dwell to dwell": effect("gyro_drift", AXES, steps=1),
+    "gyro with a warm-up": effect("gyro_warm_up", AXES),
 }
-"""Drifts of the zero rate that may imitate a g-sensitivity, by the words for a message."""
+"""Drifts of the zero rate that may imitate a g-sensitivity, by the name of the model with the drift."""
 BEGIN_TAU = 1 / 3
 """Time constant of a warm-up, as a share of the session's length."""
 LIMIT = 0.1
@@ -338,8 +338,8 @@ def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
         raise FitError("no dwell holds samples of the gyros")
     models = {METHOD: _Model.of(data, _EFFECTS)}
     if scored:
-        drifts = {word: _Model.of(data, (*_EFFECTS, drift)) for word, drift in DRIFTS.items()}
-        models |= {_with(word): one for word, one in drifts.items() if one.fit.dof > 0}
+        drifts = {name: _Model.of(data, (*_EFFECTS, drift)) for name, drift in DRIFTS.items()}
+        models |= {name: one for name, one in drifts.items() if one.fit.dof > 0}
     # Errors (n, 3) with which models predict left-out dwells; a model is missing if it is not determined.
     tried = {"zero rate": _Model.of(data, ()), **models} if scored and len(data) > 2 else {}
     left = {name: _left_out(one) for name, one in tried.items()}
@@ -390,10 +390,6 @@ def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
     )
 
 
-def _with(word: str) -> str:
-    return f"{METHOD} with a {word}"
-
-
 # -- determined parameters --------------------------------------------------------------------------------
 
 
@@ -428,10 +424,26 @@ class _Model:
     def narrowed(self, inflation: Mapping[str, float]) -> _Model:
         """Return a copy in which only parameters that the readings determine are free.
 
-        `inflation` has the factor on the noise variance of a gyro, by its axis; 1 by default.
+        `inflation` has the factor on the noise variance of a gyro, by its axis; 1 by default. The parameter
+        with the largest uncertainty is fixed, and the others are examined again, until all uncertainties
+        are below `LIMIT`. A fixed parameter may still be wrong by `LIMIT`, so that another parameter is not
+        determined either if only their sum is. The zero rates are always free. All gyros are examined
+        together, because the error of a turn's reference is common to them.
         """
-        free = self._determined(inflation)
-        return self if (free == self.free).all() else replace(self, free=free)
+        free = self.free.copy()
+        # Columns scaled so that `LIMIT` holds for all of them alike.
+        rows = self.begun.jacobian * _natural(self.names)
+        factor = np.array([inflation.get(_gyro_of(name), 1.0) for name in self.names])
+        examined = np.arange(len(self.names)) >= len(self.data.model.parameters)
+        while True:
+            held = np.where(free, 0.0, factor / LIMIT**2)
+            # Variances of the parameters are the diagonal of the inverse information, by its eigenvalues.
+            values, vectors = np.linalg.eigh(rows.T @ rows + np.diag(held))
+            known = np.maximum(values, _NOTHING * max(float(values.max(initial=0.0)), 1.0))
+            u2 = np.where(free & examined, factor * (vectors**2 / known).sum(axis=1), 0.0)
+            if not u2.max(initial=0.0) > LIMIT**2:
+                return self if (free == self.free).all() else replace(self, free=free)
+            free[int(u2.argmax())] = False
 
     @cached_property
     def begun(self) -> Fit:
@@ -509,30 +521,6 @@ class _Model:
     def lost(self) -> list[str]:
         """Names of the parameters that the readings do not determine, as a result reports them."""
         return [_stated_name(self.names[k]) for k in np.flatnonzero(self.stated & ~self.free)]
-
-    def _determined(self, inflation: Mapping[str, float]) -> NDArray[np.bool_]:
-        """Return a mask (p,) of the parameters that the readings determine.
-
-        `inflation` has the factor on the noise variance of a gyro, by its axis; 1 by default. The parameter
-        with the largest uncertainty is fixed, and the others are examined again, until all uncertainties
-        are below `LIMIT`. A fixed parameter may still be wrong by `LIMIT`, so that another parameter is not
-        determined either if only their sum is. The zero rates are always free. All gyros are examined
-        together, because the error of a turn's reference is common to them.
-        """
-        free = self.free.copy()
-        # Columns scaled so that `LIMIT` holds for all of them alike.
-        rows = self.begun.jacobian * _natural(self.names)
-        factor = np.array([inflation.get(_gyro_of(name), 1.0) for name in self.names])
-        examined = np.arange(len(self.names)) >= len(self.data.model.parameters)
-        while True:
-            held = np.where(free, 0.0, factor / LIMIT**2)
-            # Variances of the parameters are the diagonal of the inverse information, by its eigenvalues.
-            values, vectors = np.linalg.eigh(rows.T @ rows + np.diag(held))
-            known = np.maximum(values, _NOTHING * max(float(values.max(initial=0.0)), 1.0))
-            u2 = np.where(free & examined, factor * (vectors**2 / known).sum(axis=1), 0.0)
-            if not u2.max(initial=0.0) > LIMIT**2:
-                return free
-            free[int(u2.argmax())] = False
 
 
 def _gyro_of(name: str) -> str:
@@ -710,17 +698,15 @@ def _drifting(
     names, order = best.determined[0], "in this order of poses force cannot be fully separated from a"
     warnings, again = [], "repeat poses in another order"
     sensitivities = [name for name in names if name.startswith("g_")]
-    for word in DRIFTS:
-        one = models.get(_with(word))
-        if one is None:
-            continue
+    for name in [name for name in DRIFTS if name in models]:
+        one, drift = models[name], name.removeprefix(f"{METHOD} with a ")
         if open_ := [name for name in sensitivities if name not in one.determined[0]]:
             lost = ", ".join(_kinds(open_))
-            warnings.append(f"{order} {word}: with one in the model {lost} cannot be determined; {again}")
+            warnings.append(f"{order} {drift}: with one in the model {lost} cannot be determined; {again}")
         if one is best:
-            u = [float(np.sqrt((errors[name] ** 2).mean())) for name in (_with(word), METHOD)]
+            u = [float(np.sqrt((errors[key] ** 2).mean())) for key in (name, METHOD)]
             warnings.append(
-                f"a {word} of the zero rates is in the model, because it predicts left-out dwells best:"
+                f"a {drift} of the zero rates is in the model, because it predicts left-out dwells best:"
                 f" {u[0]:.2g} °/s, without it {u[1]:.2g} °/s; gyro_bias is the mean over the dwells"
             )
     # More than half of the variance is the choice.
