@@ -218,10 +218,10 @@ def test_nothing_recorded_is_said(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--plan", "free-turn", "--positions", "4"], "--plan free-turn does not take --positions"),
-        (["--plan", "free-turn", "--trace"], "--plan free-turn does not take --trace"),
-        (["--plan", "tumble", "--duration", "30"], "--plan tumble does not take --duration"),
-        (["--plan", "tumble", "--turns", "2"], "--plan tumble does not take --turns"),
+        (["--plan", "free-turn", "--positions", "4"], "--positions: not with --plan free-turn"),
+        (["--plan", "free-turn", "--trace"], "--trace: not with --plan free-turn"),
+        (["--plan", "tumble", "--duration", "30"], "--duration: not with --plan tumble"),
+        (["--plan", "tumble", "--turns", "2"], "--turns: not with --plan tumble"),
         (["--plan", "free-turn", "--turns", "0"], "take 1 or more"),
         (["--plan", "free-turn", "--turns", "8"], "8 turns in 60 s, rests included, cannot be slow"),
     ],

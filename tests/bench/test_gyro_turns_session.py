@@ -96,9 +96,9 @@ def test_plans_that_cannot_be_are_refused(turns, faces, message):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--plan", "gyro-turns", "--trace"], "--plan gyro-turns does not take --trace"),
-        (["--plan", "gyro-turns", "--duration", "60"], "--plan gyro-turns does not take --duration"),
-        (["--plan", "mmpm", "--turns", "2"], "--plan mmpm does not take --turns"),
+        (["--plan", "gyro-turns", "--trace"], "--trace: not with --plan gyro-turns"),
+        (["--plan", "gyro-turns", "--duration", "60"], "--duration: not with --plan gyro-turns"),
+        (["--plan", "mmpm", "--turns", "2"], "--turns: not with --plan mmpm"),
         (["--plan", "gyro-turns", "--turns", "99"], "take 1 to 20 each way"),
     ],
 )

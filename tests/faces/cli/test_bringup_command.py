@@ -97,8 +97,8 @@ def test_a_ctrl_c_keeps_what_was_found(tmp_path, board, capsys):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--flash"], "--flash goes with --allow-writes"),
-        (["--yes"], "--yes goes with --allow-writes"),
+        (["--flash"], "--flash: goes with --allow-writes"),
+        (["--yes"], "--yes: goes with --allow-writes"),
         (["--allow-writes"], "no terminal: add --yes"),
         (["-o", "a.pdf"], "name it a.html"),
         (["--sensor", "adis16999"], "no variant is called"),

@@ -64,7 +64,8 @@ def bringup_command(
         return _judge(recordings, variant, as_json=as_json)
     if recordings or url is None:
         raise UsageError("give the URL of a board, or --from FILE with at most --variant and --json")
-    _check_permission(allow_writes, flash or yes, yes)
+    option.refuse(() if allow_writes else ("flash", "yes"), "goes with --allow-writes")
+    _require_terminal(allow_writes and not yes, "--allow-writes asks before each step")
     files = () if output is None else _report_files(output)
     from adis_gonio.bench.bringup import Permission, bring_up
     from adis_gonio.device.bus import open_bus
@@ -101,13 +102,10 @@ def bringup_command(
     return 0 if found.sound else 1
 
 
-def _check_permission(writes: bool, more: bool, yes: bool) -> None:
-    if not writes and more:
-        raise UsageError(f"--{'yes' if yes else 'flash'} goes with --allow-writes")
-    if writes and not (yes or on_terminal()):
-        raise UsageError(
-            "--allow-writes asks before each step, and standard input is no terminal: add --yes"
-        )
+def _require_terminal(asks: bool, question: str) -> None:
+    """Raise `UsageError` if a command asks the operator and standard input is no terminal."""
+    if asks and not on_terminal():
+        raise UsageError(f"{question}, and standard input is no terminal: add --yes")
 
 
 def _judge(recordings: tuple[Path, ...], variant: str, *, as_json: bool) -> int:
@@ -178,10 +176,7 @@ def write_command(
     null = options["autonull"]
     if null and (not options["gyros"] or undo or status or options["save"]):
         raise UsageError("--autonull goes with --gyros, and without --undo, --status and --save (it saves)")
-    if not (yes or status or dry_run or on_terminal()):
-        raise UsageError(
-            "write asks before it writes, and standard input is no terminal: add --yes or --dry-run"
-        )
+    _require_terminal(not (yes or status or dry_run), "write asks before it writes")
     from adis_gonio.bench.writeback import OffsetWriter, WriteSettings
     from adis_gonio.bench.writeback.offset_writer import load
     from adis_gonio.device.sensor import open_sensor

@@ -29,11 +29,11 @@ _METADATA = {
     "stage": "stage or fixture",
 }
 _PLAN_OPTIONS = {
-    "free-turn": ("--duration", "--turns"),
-    "gyro-turns": ("--positions", "--turns"),
+    "free-turn": {"duration_s", "turns"},
+    "gyro-turns": {"positions", "turns"},
 }
 """Options of the plans without declared angles; the other plans take `_POSITION_OPTIONS`."""
-_POSITION_OPTIONS = ("--positions", "--check", "--extend", "--trace")
+_POSITION_OPTIONS = {"positions", "check", "extend", "closing"}
 
 
 @option.command(
@@ -156,8 +156,7 @@ def calibrate_command(
         click.echo(f"{output}: renamed to {set_aside(output)}", err=True)
     if resume and not output.exists():
         raise SessionError(f"{output}: no such session to resume")
-    if max_extra is not None and not closing:
-        raise UsageError("--max-extra limits the positions that --trace adds: give --trace as well")
+    option.refuse(() if closing else ("max_extra",), "limits the positions that --trace adds")
     refuse_chip_options(
         url, option.given_flags("rate_hz", "filter_m", "range_dps", "poll", "variant", "no_check")
     )
@@ -331,8 +330,7 @@ def _runner(
                     f"{output} has the plan {own.name} with {counted(len(own), 'position')}: leave --plan,"
                     " --positions and --turns out"
                 )
-        if options["poll"]:
-            raise UsageError("--resume gets its scans as the session did before: leave --poll out")
+        option.refuse(("poll",), "--resume gets its scans as the session did before")
         return SessionRunner.resume(sensor, output, auto=auto, extend=extend, advisor=advisor)
     gravity, fixture = options["gravity_mps2"], options["fixture_deg"]
     if sensor.world is not None:
@@ -396,11 +394,8 @@ def _choose_plan(
     from adis_gonio.record.plans import DEFAULT_PLAN
 
     name = name or DEFAULT_PLAN
-    given = option.given_flags("positions", "check", "extend", "closing", "duration_s", "turns")
-    allowed = _PLAN_OPTIONS.get(name, _POSITION_OPTIONS)
-    wrong = [flag for flag, is_given in given.items() if is_given and flag not in allowed]
-    if wrong:
-        raise UsageError(f"--plan {name} does not take {', '.join(wrong)}")
+    others = _POSITION_OPTIONS | {"duration_s", "turns"}
+    option.refuse(sorted(others - _PLAN_OPTIONS.get(name, _POSITION_OPTIONS)), f"not with --plan {name}")
     if name == "free-turn":
         turns = recorder.TURNS if turns is None else turns
         return recorder.free_turn_plan(turns, duration_s or recorder.DURATION_S)

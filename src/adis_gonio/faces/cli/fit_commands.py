@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from adis_gonio.base.errors import UsageError
 from adis_gonio.base.numbers import count_decimals, counted, format_fixed
 from adis_gonio.faces.cli import options as option, show
 from adis_gonio.fitting.methods import METHOD_TABLE
@@ -79,15 +78,11 @@ def fit_command(
     fits zero rates and g-sensitivity, also gains and directions if the part was turned between dwells.
     Recorded turns between poses in space add equations (calibrate --record-turns).
     """
+    other = ("gyros", "everything", "trials", "tolerance") if part == "gyro" else ("calibration",)
+    option.refuse(other, f"not with --sensor-part {part}")
     if part == "gyro":
-        if gyros is not None:
-            raise UsageError("--gyros goes with the accelerometers: leave out --sensor-part gyro")
-        if everything or trials is not None or tolerance is not None:
-            raise UsageError("--all, --monte-carlo and --tolerance work for accelerometers only")
         show_gyro_fit(option.load(session, overrides), method, as_json=as_json, calibration=calibration)
         return
-    if calibration is not None:
-        raise UsageError("--calibration goes with --sensor-part gyro")
     from adis_gonio.base.conformity import state_conformity
     from adis_gonio.faces.api import fit
     from adis_gonio.fitting.answer import Answer

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from adis_gonio.base.errors import UsageError
 from adis_gonio.base.numbers import counted, format_fixed, signed
 from adis_gonio.base.uncertainty import NORMAL_95
 from adis_gonio.device.sensor import DEFAULT_SCAN, open_sensor
@@ -135,8 +134,8 @@ def _open_stream(
     own = ("names", "leave_registers", "poll", "rate_hz", "filter_m", "range_dps", "no_check")
     refuse_chip_options(url, option.given_flags(*own))
     configures = not (rate_hz is filter_m is range_dps is None)
-    if leave_registers and configures:
-        raise UsageError("--leave-registers writes nothing, so it excludes --rate, --filter and --range")
+    if leave_registers:
+        option.refuse(("rate_hz", "filter_m", "range_dps"), "--leave-registers writes nothing")
     scan = tuple(row.name for row in registers(names.split(","))) if names else DEFAULT_SCAN
     if not has_frames(url):
         source = stack.enter_context(open_source(url))

@@ -396,14 +396,14 @@ def tolerance(help: str) -> Option[Any]:
         ) -> Any:
             from adis_gonio.base.conformity import Tolerance
 
+            if tolerance is None:
+                refuse(("rule", "risk"), "goes with --tolerance, such as 0.1deg")
+                return function(tolerance=None, **arguments)
             given = {"rule": rule, "risk": risk}
             chosen: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-            if chosen and tolerance is None:
-                raise UsageError(f"--{next(iter(chosen))} goes with --tolerance, such as 0.1deg")
             if risk is not None and rule not in (None, "guarded"):
                 raise UsageError(f"--risk goes with the rule guarded, not with {rule}")
-            made = None if tolerance is None else Tolerance(tolerance, **chosen)
-            return function(tolerance=made, **arguments)
+            return function(tolerance=Tolerance(tolerance, **chosen), **arguments)
 
         return _with(with_tolerance, *options)
 
@@ -441,6 +441,13 @@ def given_flags(*names: str) -> dict[str, bool]:
     flags = {one.name: one.opts[-1] for one in context.command.params}
     default = click.core.ParameterSource.DEFAULT
     return {flags[name]: context.get_parameter_source(name) is not default for name in names}
+
+
+def refuse(names: Iterable[str], why: str) -> None:
+    """Raise `UsageError` with the reason if any of the named parameters was on the command line."""
+    wrong = [flag for flag, is_given in given_flags(*names).items() if is_given]
+    if wrong:
+        raise UsageError(f"{', '.join(wrong)}: {why}")
 
 
 def measuring_settings(*, rate_hz: float | None, **more: Any) -> Settings:

@@ -98,10 +98,7 @@ def plan_command(
     bench = _bench(**options)
     found: BestPlan | None = None
     if options["plan_name"] is not None:
-        search = {name: options[name] for name in ("minutes", "best", "beware")}
-        wrong = [f"--{name}" for name, value in search.items() if value not in (None, "")]
-        if wrong:
-            raise UsageError(f"--plan evaluates a plan as it is: leave {', '.join(wrong)} out")
+        option.refuse(("minutes", "best", "beware"), "--plan evaluates a plan as it is")
         plan = find_plan(options["plan_name"], options["positions"], options["check"])
         prediction = predict(plan, bench)
     else:
@@ -145,7 +142,6 @@ def _search(
     best: Any,
     grid_deg: float,
     seed: int,
-    check: int,
     **_: Any,
 ) -> BestPlan:
     from adis_gonio.plan.optimal_plan import best_plan, fewest_positions, positions_in
@@ -153,8 +149,7 @@ def _search(
     given = sum(value is not None for value in (positions, minutes))
     if given > 1 or (not given and tolerance is None):
         raise UsageError("give one of --positions, --tolerance and --minutes, or --plan to evaluate one")
-    if check:
-        raise UsageError("--check goes with --plan; calibrate --plan FILE --check adds them to a plan file")
+    option.refuse(("check",), "goes with --plan; calibrate --plan FILE --check adds them to a plan file")
     if seed < 0:
         raise UsageError(f"seed is {seed}: take 0 or more")
     names = tuple(name.strip() for name in beware.split(",") if name.strip())
