@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from adis_gonio.faces.cli.live_commands import NOTES
-from adis_gonio.live.smoothed_meter import Smoothed
+from adis_gonio.live.live_angle import Smoothed
 
 DOCS = Path(__file__).parents[2] / "docs"
 TABLES = (DOCS / "files.md").read_text("utf-8").partition("## JSON of angle")[2].partition("\n## ")[0]

@@ -12,8 +12,14 @@ from adis_gonio.calibrate import Calibration, Coefficient
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.device.sensor.settings import Configuration
-from adis_gonio.live.live_angle import LiveSource, calibration_for, live_angles, open_live
-from adis_gonio.live.smoothed_meter import SmoothedMeter, sensing_of
+from adis_gonio.live.live_angle import (
+    LiveSource,
+    SmoothedMeter,
+    calibration_for,
+    live_angles,
+    open_live,
+    sensing_of,
+)
 from adis_gonio.record.blocks import ValueBlock
 from adis_gonio.record.plans import plan
 from adis_gonio.record.source import Settings

@@ -50,26 +50,14 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, EA, GYRO_OFF, ND, Variant, variant
-from adis_gonio.sim import sampling
-from adis_gonio.sim.memory import (
-    FLASH_S,
-    SELF_TEST_S,
-    SLEEP_UNIT_S,
-    START_UP_S,
-    TOLERANCE_S,
-    WAKE_S,
-    Memory,
-    SerialLimits,
-    serial_limits,
-    update_period_s,
-)
+from adis_gonio.sim import memory as chip_memory, sampling
 
 _MISC = BY_NAME["MSC_CTRL"]
 _ALARM = BY_NAME["ALM_CTRL"]
 _GPIO = BY_NAME["GPIO_CTRL"]
 
 
-def dio_levels(memory: Memory, *, pulse: bool, status: int) -> tuple[int | None, int | None]:
+def dio_levels(memory: chip_memory.Memory, *, pulse: bool, status: int) -> tuple[int | None, int | None]:
     """Return the levels that the chip drives on DIO1 and DIO2; None for a line that is an input.
 
     Parameters
@@ -216,7 +204,7 @@ class SimulatedChip:
         self._pulse_s = data_ready_pulse_s
         self._update_edge = update_edge
         self._falling = FALLING_BITS if status_falls else 0
-        self.memory = Memory(flash, endurance)
+        self.memory = chip_memory.Memory(flash, endurance)
         self._electronics: sampling.Electronics = (
             electronics or getattr(surroundings, "electronics", None) or sampling.IDEAL
         )
@@ -344,7 +332,7 @@ class SimulatedChip:
         UsageError
             The frame begins before the last frame.
         """
-        if start_s < self._last_start or start_s < self.time_s - TOLERANCE_S:
+        if start_s < self._last_start or start_s < self.time_s - chip_memory.TOLERANCE_S:
             raise UsageError(
                 f"frame at {start_s:.9g} s: the chip is already simulated until {self.time_s:.9g} s"
             )
@@ -386,18 +374,20 @@ class SimulatedChip:
         answers are as fast because the frames are few.
         """
         first = float(starts[0])
-        if first < max(self._last_start, self.time_s - TOLERANCE_S):
+        if first < max(self._last_start, self.time_s - chip_memory.TOLERANCE_S):
             return 0
         if self._until <= first:
             self._advance(first)
-        limits = serial_limits(self.memory["SMPL_PRD"])
+        limits = chip_memory.serial_limits(self.memory["SMPL_PRD"])
         if self.state is not State.RUNNING or not limits.clock_ok(clock_hz):
             return 0
         starts = starts[:_CHUNK]
         rises = starts + 16 / clock_hz
         stall = starts - np.append(self._last_rise, rises[:-1])
         period = np.diff(starts, prepend=self._last_start)
-        kept = (stall >= limits.stall_s - TOLERANCE_S) & (period >= limits.period_s - TOLERANCE_S)
+        kept = (stall >= limits.stall_s - chip_memory.TOLERANCE_S) & (
+            period >= limits.period_s - chip_memory.TOLERANCE_S
+        )
         n = len(starts) if kept.all() else int(np.argmin(kept))
         done = np.floor((rises[:n] - self._epoch) / self.update_period_s + _EDGE_TOLERANCE).astype(np.int64)
         index = done - self._k
@@ -438,12 +428,12 @@ class SimulatedChip:
     def _answer(
         self, word: int, bits: int, clock_hz: float, cs_hold_s: float, stall: float, period: float
     ) -> int:
-        limits = serial_limits(self.memory["SMPL_PRD"])
+        limits = chip_memory.serial_limits(self.memory["SMPL_PRD"])
         refused = self._refusal(bits, clock_hz, stall, limits)
         if refused is not None:
             return refused
         reply = self._reply
-        if period < limits.period_s - TOLERANCE_S:
+        if period < limits.period_s - chip_memory.TOLERANCE_S:
             self._status |= _SPI_FAILED
             reply = self._shifted
         self._advance(self._last_rise)
@@ -458,7 +448,9 @@ class SimulatedChip:
             self._reply = self._read(word >> 8 & 0x3F)
         return reply
 
-    def _refusal(self, bits: int, clock_hz: float, stall: float, limits: SerialLimits) -> int | None:
+    def _refusal(
+        self, bits: int, clock_hz: float, stall: float, limits: chip_memory.SerialLimits
+    ) -> int | None:
         """Return the reply to a frame that the chip ignores; None if the chip takes the frame.
 
         It ignores frames while it is not running, and frames that are broken. `bits` is the number of
@@ -469,11 +461,11 @@ class SimulatedChip:
         if self.state is State.DEAD:
             return self.floating_word
         if self.state is State.ASLEEP:
-            self.state, self._until = State.WAKING, self._last_rise + WAKE_S
+            self.state, self._until = State.WAKING, self._last_rise + chip_memory.WAKE_S
             return self.floating_word
         if self.state in (State.FLASHING, State.WAKING):
             return self._reply
-        if stall < limits.stall_s - TOLERANCE_S:
+        if stall < limits.stall_s - chip_memory.TOLERANCE_S:
             self.state, self._until = State.DEAD, math.inf
             return self.floating_word
         if bits == 0:
@@ -511,7 +503,7 @@ class SimulatedChip:
             return word
         return self.memory.at(address)
 
-    def _write(self, address: int, data: int, cs_hold_s: float, limits: SerialLimits) -> None:
+    def _write(self, address: int, data: int, cs_hold_s: float, limits: chip_memory.SerialLimits) -> None:
         row = self.memory.write_byte(address, data)
         if row is None:
             return
@@ -523,10 +515,10 @@ class SimulatedChip:
         if self.state is not State.RUNNING:
             return
         if row.name == "MSC_CTRL" and self.memory["MSC_CTRL"] & _SELF_TEST:
-            self.state, self._until = State.TESTING, now + SELF_TEST_S
+            self.state, self._until = State.TESTING, now + chip_memory.SELF_TEST_S
         elif row.name == "SLP_CNT" and self.memory["SLP_CNT"] and cs_hold_s <= limits.sleep_cs_s:
             self.state = State.ASLEEP
-            self._until = now + SLEEP_UNIT_S * (self.memory["SLP_CNT"] & 0xFF)
+            self._until = now + chip_memory.SLEEP_UNIT_S * (self.memory["SLP_CNT"] & 0xFF)
 
     def _command(self, data: int, now: float) -> None:
         """Execute a write of `data` to COMMAND at the time `now` in s.
@@ -540,13 +532,13 @@ class SimulatedChip:
         elif data & _COMMAND.field("restore").mask:
             for name in (*GYRO_OFF, *ACCEL_OFF):
                 self.memory[name] = 0
-            self.state, self._until = State.RESTORING, now + FLASH_S
+            self.state, self._until = State.RESTORING, now + chip_memory.FLASH_S
         elif data & _COMMAND.field("autonull").mask:
             self._begin_null(now, self._electronics.autonull_s)
         elif data & _COMMAND.field("precision_autonull").mask:
             self._begin_null(now, self._electronics.precision_autonull_s)
         elif data & _COMMAND.field("flash_update").mask:
-            self.state, self._until = State.FLASHING, now + FLASH_S
+            self.state, self._until = State.FLASHING, now + chip_memory.FLASH_S
         elif data & _COMMAND.field("latch_dac").mask:
             self._dac = self.memory["AUX_DAC"]
 
@@ -560,12 +552,12 @@ class SimulatedChip:
             self.state, self._until = State.NULLING, now + average_s
             return
         self._null(self._sampler.gyro_mean())
-        self.state, self._until = State.FLASHING, now + FLASH_S
+        self.state, self._until = State.FLASHING, now + chip_memory.FLASH_S
 
     # -- time ---------------------------------------------------------------------------------------
 
     def _start_up(self, now: float) -> None:
-        self.state, self._until = State.STARTING, now + START_UP_S
+        self.state, self._until = State.STARTING, now + chip_memory.START_UP_S
         self._status = self._standing = self._dac = 0
         self._reply = self._shifted = self._updates = 0
         self.memory.load()
@@ -587,7 +579,7 @@ class SimulatedChip:
     def _restart_sampling(self, now: float, *, empty: bool = False) -> None:
         self._smpl_prd = self.memory["SMPL_PRD"]
         self._epoch, self._k = now, 0
-        self.update_period_s = update_period_s(self.memory["SMPL_PRD"])
+        self.update_period_s = chip_memory.update_period_s(self.memory["SMPL_PRD"])
         if empty:
             self._sampler.clear()
         self._sampler.configure(self.memory)
@@ -611,10 +603,10 @@ class SimulatedChip:
                 self._status |= SELF_TEST_BITS[name]
         elif state is State.NULLING:
             self._null(self._null_sum / max(self._null_count, 1))
-            self.state, self._until = State.FLASHING, now + FLASH_S
+            self.state, self._until = State.FLASHING, now + chip_memory.FLASH_S
             return
         elif state is State.ASLEEP:
-            self.state, self._until = State.WAKING, now + WAKE_S
+            self.state, self._until = State.WAKING, now + chip_memory.WAKE_S
             return
         elif state is State.WAKING:
             self.memory["SLP_CNT"] = 0

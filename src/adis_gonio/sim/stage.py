@@ -209,8 +209,7 @@ class Stage:
             vector = self._direction(self._alpha - target + error)
             end = self._turn(start_s, vector, target, error, approach)
             rest = _Leg(end, end, target, target, error, error, self._order, approach, previous)
-            self._append(rest)
-            return end
+            return self._append(rest)
         difference = target - last.to_rad
         natural = int(np.sign(difference))
         if approach and natural != approach:
@@ -268,11 +267,10 @@ class Stage:
         hand = HandTurn(self._settings, self._hands, turns)
         to_rad = last.to_rad + hand.total_rad
         approach = 1 if to_rad >= last.to_rad else -1
+        span, errors = (last.to_rad, to_rad), (last.to_error_rad, last.to_error_rad)
         end_s = start_s + hand.length_s
-        error = last.to_error_rad
-        leg = _Leg(start_s, end_s, last.to_rad, to_rad, error, error, self._order, approach, last.to_rad)
-        self._append(replace(leg, hand=hand))
-        return end_s
+        leg = _Leg(start_s, end_s, *span, *errors, self._order, approach, last.to_rad, hand=hand)
+        return self._append(leg)
 
     def turn_about(self, start_s: float, angle_deg: float, axis: Floats | None = None) -> float:
         """Begin to turn the sensor about an axis through it; return the time in s at which the turn ends.
@@ -388,10 +386,9 @@ class Stage:
         last = self._legs[-1]
         by_hand = self._hand_over(target - last.to_rad, one_way=bool(approach))
         end_s = start_s + self._duration(target - last.to_rad, by_hand)
-        errors = last.to_error_rad, error
-        leg = _Leg(start_s, end_s, last.to_rad, target, *errors, self._order, approach, previous)
-        self._append(replace(leg, by_hand=by_hand))
-        return end_s
+        span, errors = (last.to_rad, target), (last.to_error_rad, error)
+        leg = _Leg(start_s, end_s, *span, *errors, self._order, approach, previous, by_hand=by_hand)
+        return self._append(leg)
 
     def _turn(self, start_s: float, to: Floats, theta: float, error: float, approach: int) -> float:
         base = self._standing
@@ -416,8 +413,7 @@ class Stage:
         motor.
         """
         end_s = leg.start_s + self._duration(leg.turn_rad, by_hand)
-        self._append(replace(leg, end_s=end_s, by_hand=by_hand))
-        return end_s
+        return self._append(replace(leg, end_s=end_s, by_hand=by_hand))
 
     @property
     def _standing(self) -> Floats:
@@ -427,10 +423,11 @@ class Stage:
             return last.target
         return self._direction(self._alpha - last.to_rad + last.to_error_rad)
 
-    def _append(self, leg: _Leg) -> None:
+    def _append(self, leg: _Leg) -> float:
         self._legs.append(leg)
         self._starts = np.append(self._starts, leg.start_s)
         self._course = None
+        return leg.end_s
 
     # -- following legs ---------------------------------------------------------------------------
 

@@ -13,8 +13,7 @@ import pytest
 
 from adis_gonio.faces.cli import main
 from adis_gonio.faces.cli.live_commands import format_angle
-from adis_gonio.live.live_angle import LiveAngle
-from adis_gonio.live.smoothed_meter import Smoothed
+from adis_gonio.live.live_angle import LiveAngle, Smoothed
 from programs import running
 
 URL = "sim:?seed=1"
