@@ -5,7 +5,7 @@ import pytest
 
 from adis_gonio.base.errors import BusTimeoutError
 from adis_gonio.bench.bringup import STEPS, Permission, Verdict, bring_up
-from adis_gonio.bench.bringup.bringup_step import writable
+from adis_gonio.record.source import HOLDING_SETTINGS
 from fakes.boards import Board
 
 HELD = (("SMPL_PRD", 0x03), ("SENS_AVG", 0x0201 | 0x2), ("XACCL_OFF", 57), ("ALM_MAG1", 0x8123))
@@ -28,7 +28,7 @@ def opened(**board):
 
 
 def registers_of(bus):
-    return {row.name: bus.chip.memory[row.name] for row in writable()}
+    return {name: bus.chip.memory[name] for name in HOLDING_SETTINGS}
 
 
 def steps(*names):

@@ -20,7 +20,6 @@ from adis_gonio.bench.bringup.bringup_step import (
     Outcome,
     SideEffect,
     StepResult,
-    writable,
 )
 from adis_gonio.bench.bringup.link_steps import BitErrors, Health, Link, Timing, WhichPart
 from adis_gonio.bench.bringup.part_steps import (
@@ -34,7 +33,8 @@ from adis_gonio.bench.bringup.part_steps import (
 from adis_gonio.bench.bringup.update_steps import DataReady, Rate, SamplePeriods
 from adis_gonio.device.bus import SpiBus
 from adis_gonio.device.sensor.driver import Adis16354, Undo
-from adis_gonio.device.sensor.registers import NORMAL, Variant, variant as find_variant
+from adis_gonio.device.sensor.registers import NORMAL, Variant, registers, variant as find_variant
+from adis_gonio.record.source import HOLDING_SETTINGS
 
 STEPS: tuple[BringupStep, ...] = (
     Link(),
@@ -166,7 +166,7 @@ class _Run:
         changes, found = step.effect is not SideEffect.READS, self.found
         try:
             if changes and found.undo is None:
-                found.undo = Undo(bench.sensor, writable())
+                found.undo = Undo(bench.sensor, registers(HOLDING_SETTINGS))
             bench.bus.calls.clear()
             return step.run(bench, new_result(step))
         except AdisGonioError as error:

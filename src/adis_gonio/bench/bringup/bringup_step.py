@@ -25,7 +25,7 @@ from adis_gonio.base.jsonable import JsonRecord, key
 from adis_gonio.device.bus import SpiBus, SpiTiming, Words
 from adis_gonio.device.bus.recording import Call, ObservedBus
 from adis_gonio.device.sensor.driver import Adis16354, Undo
-from adis_gonio.device.sensor.registers import BY_NAME, EA, IDLE, VARIANTS, Register, register
+from adis_gonio.device.sensor.registers import EA, IDLE, VARIANTS, Register, register
 from adis_gonio.device.sensor.settings import ScanBlock, join
 
 _PART = VARIANTS["adis16354"]
@@ -589,16 +589,3 @@ def longest_run(times: Floats, step_s: float) -> tuple[int, int]:
     """
     ends = [0, *(np.flatnonzero(np.diff(times) > 1.5 * step_s) + 1), len(times)]
     return max(pairwise(ends), key=lambda run: run[1] - run[0])
-
-
-def writable() -> tuple[Register, ...]:
-    """Return the registers whose contents are saved before any write and compared after the bring-up.
-
-    SLP_CNT and GPIO_CTRL are left out, because no step writes them: SLP_CNT sends the sensor to sleep, and
-    GPIO_CTRL has levels that follow the wires.
-    """
-    return tuple(
-        row
-        for row in BY_NAME.values()
-        if row.writable and row.readable and row.name not in ("SLP_CNT", "GPIO_CTRL")
-    )

@@ -7,7 +7,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.bench.bringup.bringup_step import (
     BOARD_CLOCK_U,
@@ -21,7 +20,6 @@ from adis_gonio.device.sensor.driver import PLAUSIBLE
 from adis_gonio.device.sensor.registers import (
     ACCEL_OFF,
     ACCEL_OUT,
-    BY_NAME,
     FAST,
     FAST_UP_TO,
     IDLE,
@@ -36,7 +34,8 @@ from adis_gonio.device.sensor.registers import (
     read_frames,
     registers,
 )
-from adis_gonio.device.sensor.settings import Status, scales, white_noise_gain
+from adis_gonio.device.sensor.settings import Status, mean_at_rest, scales
+from adis_gonio.record.blocks import SUPPLY_LIMITS_V
 
 CLOCKS_HZ = (2e6, 1.5e6, 1e6, 750e3, 500e3, 250e3, 125e3, 62.5e3, 31.25e3)
 """Clocks to try in Hz: steps of the bridges within the limits of the chip's modes."""
@@ -283,22 +282,9 @@ def _majority(words: Words) -> Words:
     return np.asarray((ones.astype(np.uint32) << np.arange(16)).sum(axis=1), np.uint16)
 
 
-SUPPLY_V = (4.75, 5.25)
-"""Lower and upper limit of the supply in V (data sheet, B), as in STATUS."""
 TEMPERATURE_C = (-40.0, 85.0)
 """Range of operation of the siblings in °C (data sheet, B)."""
 _SCANS = 256
-
-
-def mean_and_u(numbers: Floats, gain: float = 1.0) -> tuple[Floats, Floats]:
-    """Return the means (k,) of numbers (n, k) and their standard uncertainties, in LSB.
-
-    The filter does not reduce noise at the lowest frequencies, so that the uncertainty of a mean is σ/√n
-    with the σ of unfiltered noise: the measured σ divided by `gain`, the noise gain of the filter. A
-    rounding error of 1/√12 LSB is added, since rounding is not random if the noise is below an LSB.
-    """
-    spread = numbers.std(axis=0, ddof=1) / gain
-    return numbers.mean(axis=0), np.hypot(spread / np.sqrt(len(numbers)), 1 / np.sqrt(12))
 
 
 class Health(BringupStep):
@@ -314,18 +300,18 @@ class Health(BringupStep):
         standing = Status(bench.sensor.read("STATUS"))
         names = ("SUPPLY_OUT", *TEMP_OUT)
         block, _ = bench.scans(_SCANS, names)
-        lsb, zero, _ = scales(registers(names), bench.sensor.variant, 300)
-        mean, u = mean_and_u(block.numbers().astype(np.float64), _gain(bench))
-        value, u = zero + lsb * mean, lsb * u
+        lsb, _, _ = scales(registers(names), bench.sensor.variant, 300)
+        value, u = mean_at_rest(block.values(), lsb, bench.sensor.configuration().filter_m)
         found.measure("supply", value[0], "V", u[0], 5.0)
         for axis, t, s in zip("xyz", value[1:], u[1:], strict=True):
             found.measure(f"temperature {axis}", t, "degC", s)
         found.measure("STATUS at first", first)
         found.measure("STATUS read again", standing.word, expected=0)
         wrong = []
-        if not SUPPLY_V[0] - Z * u[0] <= value[0] <= SUPPLY_V[1] + Z * u[0]:
+        low, high = SUPPLY_LIMITS_V
+        if not low - Z * u[0] <= value[0] <= high + Z * u[0]:
             bench.supply_ok = False
-            wrong.append(f"the supply is {value[0]:.3f} V, the part needs {SUPPLY_V[0]} to {SUPPLY_V[1]} V")
+            wrong.append(f"the supply is {value[0]:.3f} V, the part needs {low} to {high} V")
         for axis, t, s in zip("XYZ", value[1:], u[1:], strict=True):
             if not TEMPERATURE_C[0] - Z * s <= t <= TEMPERATURE_C[1] + Z * s:
                 wrong.append(f"{axis}TEMP_OUT says {t:.0f} °C")
@@ -354,7 +340,8 @@ class WhichPart(BringupStep):
     def run(self, bench: BringupBench, found: StepResult) -> StepResult:
         """Compare |a| in LSB with the value that each variant has at 1 g."""
         block, _ = bench.scans(_SCANS, ACCEL_OUT)
-        mean, u = mean_and_u(block.numbers().astype(np.float64), _gain(bench))
+        numbers = block.numbers().astype(np.float64)
+        mean, u = mean_at_rest(numbers, 1.0, bench.sensor.configuration().filter_m)
         # The bias in the table is that of the part alone, without the offset registers.
         offsets = [row.number(bench.constants[row.name]) for row in registers(ACCEL_OFF)]
         mean = mean - offsets
@@ -402,8 +389,3 @@ def _tolerance(part: Variant, warm_c: float) -> float:
             + 0.0026**2 / 3  # local gravity: on Earth it is within 0.26 % of the standard value
         )
     )
-
-
-def _gain(bench: BringupBench) -> float:
-    """Return the factor by which the sensor's present filter reduces the rms of white noise."""
-    return white_noise_gain(BY_NAME["SENS_AVG"].field("m").of(bench.sensor.read("SENS_AVG")))

@@ -38,7 +38,7 @@ from adis_gonio.device.sensor.registers import (
     variant,
 )
 from adis_gonio.device.sensor.scanning import ScanStream
-from adis_gonio.device.sensor.settings import Configuration, ScanBlock, join, white_noise_gain
+from adis_gonio.device.sensor.settings import Configuration, ScanBlock, join, mean_at_rest, white_noise_gain
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.gyros.gyro_fit import GyroFit, fit_gyro
 from adis_gonio.model.effects.base import AXES
@@ -123,13 +123,13 @@ def measure(sensor: Adis16354, dwell_s: float, patience_s: float, *, gyros: bool
         noise = _noise(sensor, stream, now, patience_s)
         scans = _dwell(sensor, stream, noise, window, dwell_s)
     part = sensor.variant
-    mean, u = _mean(scans.accel_mg, part.accel_mg_per_lsb, now)
+    mean, u = mean_at_rest(scans.accel_mg, part.accel_mg_per_lsb, now.filter_m)
     warm = float(scans.column("XTEMP_OUT").mean())
     rest = Rest(mean, u, warm, float(scans.supply_v.mean()), len(scans))
     if not gyros:
         return rest
     lsb = part.lsb(Kind.GYRO, now.gyro_range_dps or 300)[0]
-    mean, u = _mean(scans.gyro_dps, lsb, now)
+    mean, u = mean_at_rest(scans.gyro_dps, lsb, now.filter_m)
     dies = scans.select(TEMP_OUT).values().mean(axis=0)
     return replace(rest, mean_dps=mean, u_dps=u, temperatures_c=dies)
 
@@ -169,18 +169,6 @@ def _dwell(sensor: Adis16354, stream: ScanStream, noise: Floats, window: int, dw
         if enough and sensor.bus.now_s() - begin_s >= dwell_s:
             break
     return join(blocks)
-
-
-def _mean(values: Floats, lsb: float, now: Configuration) -> tuple[Floats, Floats]:
-    """Return means (3,) of the samples `values` (n, 3), and the u of the means (3,).
-
-    `lsb` is the step of the samples, `now` the sensor's configuration.
-    """
-    deviation = values.std(axis=0, ddof=1)
-    # The filter does not reduce noise at the lowest frequencies: use the noise of unfiltered samples.
-    spread = deviation / white_noise_gain(now.filter_m)
-    rounding = lsb / np.sqrt(12) * np.where(deviation > lsb, 1 / np.sqrt(len(values)), 1.0)
-    return values.mean(axis=0), np.hypot(spread / np.sqrt(len(values)), rounding)
 
 
 SIGMAS = 4.0

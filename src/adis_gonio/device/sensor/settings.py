@@ -53,6 +53,19 @@ def white_noise_gain(m: int) -> float:
     return float(np.sqrt(np.sum(filter_weights(m) ** 2)))
 
 
+def mean_at_rest(values: Floats, lsb: float | Floats, m: int) -> tuple[Floats, Floats]:
+    """Return the means (k,) of samples `values` (n, k) at rest, and their standard uncertainties (k,).
+
+    `lsb` is the step of the samples, a number or (k,), and `m` the size M of the filter. The filter does
+    not reduce noise at the lowest frequencies, so that the uncertainty of a mean is that of unfiltered
+    noise. Rounding is random only if the noise exceeds an LSB.
+    """
+    deviation = values.std(axis=0, ddof=1)
+    spread = deviation / white_noise_gain(m)
+    rounding = lsb / np.sqrt(12) * np.where(deviation > lsb, 1 / np.sqrt(len(values)), 1.0)
+    return values.mean(axis=0), np.hypot(spread / np.sqrt(len(values)), rounding)
+
+
 def filter_response(m: int, frequency: Floats) -> Floats:
     """Return the power response |H|² of the chip's filter of size `m`, in the shape of `frequency`.
 
