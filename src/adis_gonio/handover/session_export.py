@@ -17,7 +17,7 @@ from adis_gonio.base.output import write_utf8
 from adis_gonio.calibrate.calibration import Calibration
 from adis_gonio.calibrate.calibration_document import calibration_in
 from adis_gonio.handover.c_header import DEFAULT_NAME
-from adis_gonio.handover.formats import BY_NAME, FORMATS
+from adis_gonio.handover.formats import BY_NAME
 from adis_gonio.model.effects import AXES
 from adis_gonio.model.records import Session
 from adis_gonio.record.loading import Overrides, load_session
@@ -114,21 +114,6 @@ class ExportSource:
     gyros: Path | None = None
     tolerance: Tolerance | None = None
 
-    def check(self, kind: str) -> None:
-        """Raise `UsageError` if an option has no meaning for the format `kind`."""
-        samples_only = BY_NAME[kind].holds == "samples"
-        default = {"name": DEFAULT_NAME, "tolerance": None}
-        if samples_only and (self.method is not None or self.traced):
-            raise UsageError(f"--method and --trace go with coefficients: {kind} has the samples only")
-        if samples_only and self.gyros is not None:
-            raise UsageError(f"--gyros goes with coefficients: {kind} has the samples only")
-        if self.method is not None and self.traced:
-            raise UsageError("--method and --trace exclude each other: a trace has its own model")
-        for one in FORMATS:
-            for name in one.options:
-                if one.name != kind and getattr(self, name) != default[name]:
-                    raise UsageError(f"--{name} goes with --format {one.name}")
-
     def write(self, kind: str, path: Path) -> list[str]:
         """Write the source in a format to a new or empty file; return remarks on the content.
 
@@ -138,9 +123,8 @@ class ExportSource:
         Raises
         ------
         UsageError, DataError, FitError, NotInstalledError, OSError
-            The options do not fit the format, or a file, a fit, an extra or the disk fails.
+            The method does not exist, or a file, a fit, an extra or the disk fails.
         """
-        self.check(kind)
         chosen = BY_NAME[kind]
         if chosen.holds == "coefficients":
             calibration, remarks = self._calibration()

@@ -73,7 +73,11 @@ def export_command(
     source = ExportSource(
         session, method, traced, **named, overrides=overrides, gyros=gyros, tolerance=tolerance
     )
-    source.check(kind)
+    foreign = {name for one in FORMATS for name in one.options} - set(BY_NAME[kind].options)
+    if BY_NAME[kind].holds == "samples":
+        foreign |= {"method", "traced", "gyros"}
+    option.refuse(sorted(foreign), f"not with --format {kind}")
+    option.refuse(("method",) if traced else (), "not with --trace, which has its own model")
     if output is None and BY_NAME[kind].holds == "samples":
         raise UsageError(f"--format {kind} needs -o FILE; -o - is standard output")
     shown = traced or sys.stderr.isatty()  # a log has no use for work of seconds
