@@ -297,27 +297,15 @@ def found_section(traced: TraceResult) -> Section:
 def within_section(traced: TraceResult) -> Section:
     """Return the section on effects in the samples inside the dwells.
 
-    It has sentences, figures, and a table by dwell.
+    It has sentences and a table by dwell.
     """
     if not traced.within:
         nothing = (
             "Spikes, stuck values, spectral lines, changes of the noise, drift, settling, steps: none."
         )
         return Section("Inside the dwells", words=[nothing] if traced.fits else [])
-    figures, rows = [], []
+    rows = []
     for finding in traced.within:
-        view = finding.view
-        if view is not None:
-            series = [Series(view.x, view.y, "samples", role="before", style="points")]
-            if view.noise is not None:
-                # The role "before" has dashed lines.
-                series = [
-                    Series(view.x, view.y, "samples", role="after", style="line"),
-                    Series(view.x, view.noise, "noise", role="before", style="line"),
-                ]
-            spectrum = view.noise is not None
-            drawn = plot(series, view.x_label, view.y_label, title=view.caption, y_log=spectrum)
-            figures.append(Figure(drawn, view.caption))
         rows += [
             [
                 finding.kind.replace("_", " "),
@@ -334,7 +322,7 @@ def within_section(traced: TraceResult) -> Section:
             rows.append([finding.kind, f"{left_out} more", "", "", "", ""])
     head = ["finding", "position", "axis", "time / s", "size", "the mean is off by / mg"]
     tables = [Table(head, rows, numeric=(3, 4, 5))] if rows else []
-    return Section("Inside the dwells", points=words.within(traced), figures=figures, tables=tables)
+    return Section("Inside the dwells", points=words.within(traced), tables=tables)
 
 
 def errors_section(traced: TraceResult) -> Section:
@@ -480,14 +468,16 @@ def sight_section(traced: TraceResult) -> Section:
     rows = []
     for names, verdict in (
         (sorted(effects_found & set(traced.detectable)), "found"),
-        ([name for name, _ in seen.open], "open: not distinguishable from others here"),
-        ([name for name, _ in seen.visible], words.absent(traced)),
-        ([name for name, _ in seen.weak], "absent or smaller"),
+        (seen.open, "open: not distinguishable from others here"),
+        (seen.visible, words.absent(traced)),
+        (seen.weak, "absent or smaller"),
     ):
         for name in names:
             entry = traced.detectable[name]
             rows.append([name, words.amplitude(entry), words.typical(name, entry), verdict])
-    rows += [[", ".join(names), "–", "", f"could not be seen: {reason}"] for names, reason in seen.blind]
+    rows += [
+        [", ".join(names), "–", "", f"could not be seen: {reason}"] for reason, names in seen.blind.items()
+    ]
     table = Table(
         ["effect", "smallest amplitude", "typical size", "conclusion"],
         rows,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from adis_gonio.base.errors import AdisGonioError
@@ -39,25 +39,25 @@ _SURE = (
 """Phrases for the certainty of a finding, each with its smallest probability and largest p-value."""
 
 
-@dataclass(frozen=True)
-class SightWords:
+@dataclass
+class SightGroups:
     """Effects that were not found, in groups: shown at typical size, only if larger, or not at all.
 
     Attributes
     ----------
-    visible, weak : tuple of (name, text)
-        Effects with the smallest amplitude that would have been found. In `visible` it is smaller than the
-        effect's typical size, in `weak` larger.
-    open : tuple of (name, text)
+    visible, weak : list of str
+        Effects with a smallest detectable amplitude: below the effect's typical size in `visible`, above it
+        in `weak`.
+    open : list of str
         Visible effects that the session cannot distinguish from others.
-    blind : tuple of (names, reason)
-        Effects that would not have shown at any physical amplitude.
+    blind : dict of str to list of str
+        Effects that would not have shown at any physical amplitude, by the reason.
     """
 
-    visible: tuple[tuple[str, str], ...]
-    weak: tuple[tuple[str, str], ...]
-    blind: tuple[tuple[tuple[str, ...], str], ...]
-    open: tuple[tuple[str, str], ...] = ()
+    visible: list[str] = field(default_factory=list)
+    weak: list[str] = field(default_factory=list)
+    open: list[str] = field(default_factory=list)
+    blind: dict[str, list[str]] = field(default_factory=dict)
 
 
 def title(session: Session) -> str:
@@ -416,33 +416,30 @@ def session_shares(result: JointResult) -> list[str]:
     return lines
 
 
-def sight(result: TraceResult) -> SightWords:
+def sight(result: TraceResult) -> SightGroups:
     """Group effects that were not found by whether the session could have shown them at typical size."""
     found = {finding.effect for finding in result.found}
     undecided = {name for names in result.confounded for name in names} | set(result.reasons)
     undecided |= {step.effect for step in result.steps}
-    shown: dict[str, list[tuple[str, str]]] = {"visible": [], "weak": [], "open": []}
-    blind: dict[str, list[str]] = {}
+    seen = SightGroups()
     for name in catalogue():
         if name in found or name not in result.detectable:
             continue
         entry = result.detectable[name]
         prototype = _parameter(name, entry)
         if name in undecided:
-            shown["open"].append((name, amplitude(entry)))
+            seen.open.append(name)
         elif entry.amplitude is None:
-            blind.setdefault(_reason(entry.reason or "its trace lies in what is fitted"), []).append(name)
+            reason = _reason(entry.reason or "its trace lies in what is fitted")
+            seen.blind.setdefault(reason, []).append(name)
         elif prototype is not None and entry.amplitude > prototype.high:
             reason = "too little of what drives it; no physical amplitude would show"
-            blind.setdefault(reason, []).append(name)
+            seen.blind.setdefault(reason, []).append(name)
         elif prototype is not None and entry.amplitude > abs(prototype.typical):
-            shown["weak"].append((name, amplitude(entry)))
+            seen.weak.append(name)
         else:
-            shown["visible"].append((name, amplitude(entry)))
-    return SightWords(
-        blind=tuple((tuple(names), reason) for reason, names in blind.items()),
-        **{group: tuple(rows) for group, rows in shown.items()},
-    )
+            seen.visible.append(name)
+    return seen
 
 
 def absent(result: TraceResult) -> str:

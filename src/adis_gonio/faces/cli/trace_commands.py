@@ -116,11 +116,12 @@ def print_trace(sessions: Sequence[Session], result: TraceResult) -> None:
     _print_list(screen, "Rejected effects", summary.open_names(result))
     _print_list(screen, "Inside the dwells", summary.within(result))
     seen = summary.sight(result)
-    weak = ", ".join(f"{name} from {text}" for name, text in seen.weak)
+    smallest = {name: summary.amplitude(entry) for name, entry in result.detectable.items()}
+    weak = ", ".join(f"{name} from {smallest[name]}" for name in seen.weak)
     items = [f"only if larger than usual: {weak}"] if weak else []
-    items += [f"{', '.join(names)}: {reason}" for names, reason in seen.blind]
+    items += [f"{', '.join(names)}: {reason}" for reason, names in seen.blind.items()]
     _print_list(screen, "What this session could not have seen", items)
-    visible = ", ".join(f"{name} {text}" for name, text in seen.visible)
+    visible = ", ".join(f"{name} {smallest[name]}" for name in seen.visible)
     heading = f"{summary.absent(result).capitalize()} (90 % power) from"
     _print_list(screen, heading, [visible] if visible else [])
     _print_list(screen, "What to measure next", summary.advice(result), numbered=True)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import MAD_TO_SD, Floats
-from adis_gonio.base.jsonable import HIDDEN, OPTIONAL, JsonRecord
+from adis_gonio.base.jsonable import OPTIONAL, JsonRecord
 from adis_gonio.base.numbers import name_positions
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.estimation.readings import Readings
@@ -192,29 +192,6 @@ class Place(JsonRecord):
     shift_mg: float | None = None
 
 
-@dataclass(frozen=True)
-class View:
-    """Data of the figure of a spectral line: a spectrum, or the frequency of a moving line in each dwell.
-
-    Attributes
-    ----------
-    x, y : (n,) float
-        Points of the measured curve.
-    x_label, y_label, caption : str
-        Labels of the axes, and caption of the figure.
-    noise : (n,) float or None
-        Density of the noise of a spectrum, which has a logarithmic y axis; None for frequencies, which are
-        single points.
-    """
-
-    x: Floats
-    y: Floats
-    x_label: str
-    y_label: str
-    caption: str
-    noise: Floats | None = None
-
-
 class WithinFinding(JsonRecord, kw_only=True):
     """A finding in the samples inside the dwells.
 
@@ -242,8 +219,6 @@ class WithinFinding(JsonRecord, kw_only=True):
         Recommended action against the cause; empty if none is needed.
     aliases_hz : tuple of float or None
         Other frequencies in Hz that sampling would show at the frequency of a tone; None for other kinds.
-    view : View or None
-        Data of the figure of a tone, neither in the document nor compared; None without a figure.
     """
 
     kind: Kind
@@ -256,7 +231,6 @@ class WithinFinding(JsonRecord, kw_only=True):
     places: tuple[Place, ...] = ()
     advice: str = ""
     aliases_hz: tuple[float, ...] | None = field(default=None, metadata=OPTIONAL)
-    view: View | None = field(default=None, repr=False, compare=False, metadata=HIDDEN)
 
 
 def corrected(p_value: float, tests: float) -> float:

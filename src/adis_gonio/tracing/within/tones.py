@@ -65,7 +65,6 @@ from adis_gonio.tracing.within.samples import (
     POWER,
     SEARCHES,
     Samples,
-    View,
     WithinFinding,
     corrected,
     positions_text,
@@ -77,7 +76,6 @@ MOST_ALIASES = 6
 """Largest number of aliases that a sentence lists."""
 MOST = 5
 """Largest number of spectral lines that are searched for."""
-_MOST_POINTS = 600
 
 
 @dataclass(frozen=True)
@@ -223,7 +221,6 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
             "at another rate, where a line of that frequency stays and an alias moves"
         ),
         aliases_hz=folding,
-        view=_view(density, period, axes[0], samples.letters[axes[0]], frequency),
     )
     return finding, samples.with_values(values)
 
@@ -299,33 +296,6 @@ def amplitudes_of(
     lines = {samples.letters[k]: Value(float(amplitude[k]), float(u[k]), "mg") for k in axes}
     sizes = ", ".join(f"{letter} {line}" for letter, line in lines.items())
     return tuple(lines), {f"tone_{letter}": line for letter, line in lines.items()}, sizes
-
-
-def _view(density: Density, period: float, axis: int, letter: str, frequency: float) -> View:
-    """Return the figure of a line at `frequency` in Hz: the one-sided noise density of an axis in mg/√Hz.
-
-    The density is over all dwells. `period` is the time between samples in s; `axis` and `letter` are the
-    index and the letter of the axis.
-    """
-    level = float(density.level[:, axis].mean())
-    pooled = (density.power / density.level[:, None, :]).mean(axis=0)[:, axis] * level
-    inside = slice(density.searched.start, density.searched.stop)
-    x, y = density.frequency[inside] / period, np.sqrt(2 * period * pooled[inside])
-    model = np.sqrt(2 * period * level * density.base[inside, axis])
-    if len(x) > _MOST_POINTS:
-        # Maxima of neighbours, so that the line remains visible in the figure.
-        each = -(-len(x) // _MOST_POINTS)
-        cut = len(x) // each * each
-        top = y[:cut].reshape(-1, each).argmax(axis=1) + np.arange(0, cut, each)
-        x, y, model = x[top], y[top], model[top]
-    return View(
-        x,
-        y,
-        "frequency / Hz",
-        f"density of {letter} / mg/√Hz",
-        f"Spectrum of {letter} inside the dwells, with a line at {format_number(frequency, 4)} Hz.",
-        model,
-    )
 
 
 PADDING = 2
@@ -897,13 +867,6 @@ def _finding(line: MovingLine, alike: Sequence[MovingLine], samples: Samples) ->
             " as a covariate"
         ),
         aliases_hz=folding,
-        view=View(
-            line.time_s,
-            line.frequency_hz,
-            "time / s",
-            "frequency / Hz",
-            f"Frequency of a spectral line of {join_words(letters)} in each dwell.",
-        ),
     )
 
 
