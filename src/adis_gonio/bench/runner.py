@@ -411,7 +411,7 @@ class SessionRunner(Operator):
         if self._advisor is None or not ledger.done:
             return Reply.STOP
         yield Advising(len(ledger.done))
-        rounds = [record.value for record in ledger.archive.records("advised")]
+        rounds = [record["value"] for record in ledger.archive.records("advised")]
         visited = len(ledger.plan) - rounds[0]["planned"] if rounds else 0
         advice = self._advisor.advise(read_session(ledger.archive.path), visited, self._reachable)
         count, number = len(advice.positions), len(rounds) + 1

@@ -340,7 +340,7 @@ class SessionBench:
             Number of the last attempt to repeat; 0 for the end of the noise measurement.
         """
         ends = {a.number: a.ended_bus_s for a in archive.attempts()}
-        end_s = ends[attempt] if attempt else archive.records("noise")[0].bus_s
+        end_s = ends[attempt] if attempt else archive.records("noise")[0]["bus_s"]
         for move in archive.moves_before(attempt):
             self._wait_until(move.bus_s)
             self._carry_out(move)

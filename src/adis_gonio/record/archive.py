@@ -356,22 +356,23 @@ class ArchiveView(Closing):
             values["fixture_sigma_deg"] = math.inf
         return schema.Header(**values)
 
-    def records(self, kind: str | None = None) -> list[schema.Record]:
-        """Return the records of one kind, or of all kinds if `kind` is None, in the order of writing."""
-        found = []
-        for row in self._rows("records", "record", kind=kind):
-            number, own = row.pop("record"), row["kind"]
+    def records(self, kind: str | None = None) -> list[schema.JsonDict]:
+        """Return the rows of the table `records`, of one kind or (None) of all kinds, as they were written.
+
+        A row has the number of its `run`, the time `utc` by the wall clock (ISO 8601), the time `bus_s` of
+        the event on the bus's clock in s, its `kind`, and its parsed JSON `value`.
+        """
+        rows = self._rows("records", "record", kind=kind)
+        for row in rows:
             with translated_errors(self.path):
-                schema.checked_value(
-                    f"record {number}: {own}", schema.RECORDS.get(own, anything), row["value"]
-                )
-            found.append(schema.Record(**row))
-        return found
+                shape = schema.RECORDS.get(row["kind"], anything)
+                schema.checked_value(f"record {row['record']}: {row['kind']}", shape, row["value"])
+        return rows
 
     def last(self, kind: str) -> Any:
         """Return the value of the last record of a kind; None if there is no such record."""
         records = self.records(kind)
-        return records[-1].value if records else None
+        return records[-1]["value"] if records else None
 
     def runs(self) -> list[schema.JsonDict]:
         """Return the rows of the table `runs`: one for each time a program opened the session to record."""
@@ -442,11 +443,13 @@ class ArchiveView(Closing):
         """
         dwells = self.dwells()
         counted, places = {attempt.number for attempt in dwells}, {attempt.place for attempt in dwells}
-        kept = [record.value for record in self.records("doubt") if record.value["attempt"] in counted]
+        kept = [
+            record["value"] for record in self.records("doubt") if record["value"]["attempt"] in counted
+        ]
         skipped = {
-            record.value["place"]: record.value
+            record["value"]["place"]: record["value"]
             for record in self.records("contradiction")
-            if record.value["place"] not in places and counted.issuperset(record.value["dwells"])
+            if record["value"]["place"] not in places and counted.issuperset(record["value"]["dwells"])
         }
         for place in skipped:
             self._require_place(place)
@@ -466,7 +469,7 @@ class ArchiveView(Closing):
         DataError
             The first step of a write lacks the registers, or a later step names other registers.
         """
-        steps = [record.value | {"utc": record.utc} for record in self.records("offsets")]
+        steps = [record["value"] | {"utc": record["utc"]} for record in self.records("offsets")]
         written: dict[int, set[str]] = {}
         for step in steps:
             number = step["number"]
@@ -479,11 +482,11 @@ class ArchiveView(Closing):
 
     def withdrawn(self) -> set[int]:
         """Return the numbers of complete attempts that the operator declared invalid afterwards."""
-        return {record.value for record in self.records("withdrawn")}
+        return {record["value"] for record in self.records("withdrawn")}
 
     def skipped(self) -> set[int]:
         """Return the numbers, from 0, of the plan's positions that were skipped and have no dwell."""
-        skipped = {self._require_place(place) for place in {r.value for r in self.records("skipped")}}
+        skipped = {self._require_place(place) for place in {r["value"] for r in self.records("skipped")}}
         return skipped - {a.place for a in self.dwells()}
 
     def pending(self) -> list[int]:

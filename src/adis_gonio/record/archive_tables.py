@@ -165,31 +165,6 @@ class StoredAttempt(AttemptFacts):
 
 
 @dataclass(frozen=True)
-class Record:
-    """A row of the table `records`.
-
-    Attributes
-    ----------
-    run : int
-        Number of the run (opening of the session) that wrote it.
-    utc : str
-        Time of writing by the wall clock, ISO 8601, UTC.
-    bus_s : float
-        Time of the event on the bus's clock, in s.
-    kind : str
-        Kind of the event, such as `plan` or `problem`; `RECORDS` lists the kinds.
-    value : object
-        Parsed JSON value.
-    """
-
-    run: int
-    utc: str
-    bus_s: float
-    kind: str
-    value: Any
-
-
-@dataclass(frozen=True)
 class Header:
     """Facts of a session that are fixed when it begins.
 

@@ -175,7 +175,7 @@ def read_session(path: str | Path) -> Session:
             return _free_turn(path, view)
         if not stored:
             raise DataError(f"{path}: no dwell is complete yet; resume the session")
-        dropped = {r.value["attempt"]: r.value["scans"] for r in view.records("dropped")}
+        dropped = {r["value"]["attempt"]: r["value"]["scans"] for r in view.records("dropped")}
         joined = [join(view.blocks(attempt, "dwell")) for attempt in stored]
         facts = _facts(view) | {
             "complete": not pending,
@@ -234,11 +234,11 @@ def _facts(view: ArchiveView) -> JsonDict:
         "configuration": view.last("configuration"),
         "registers": {when: view.last(f"registers-{when}") for when in ("before", "configured", "after")},
         "runs": view.runs(),
-        "problems": [record.value for record in view.records("problem")],
-        "remarks": [record.value for record in view.records("remark")],
+        "problems": [record["value"] for record in view.records("problem")],
+        "remarks": [record["value"] for record in view.records("remark")],
         "scanning": view.last("scanning"),
         "offset_writes": view.offset_writes(),
-        "advised": [record.value for record in view.records("advised")],
+        "advised": [record["value"] for record in view.records("advised")],
         "reversed": bool(view.last("reversed")),
         "doubts": view.doubts() + _changed_registers(view),
         "skipped": sorted(view.skipped()),

@@ -112,7 +112,6 @@ def _own_copy(faults: Faults | None) -> Faults:
 
 
 _BUFFER = 65536
-_LONGEST_WAIT_S = 0.05
 _UNREAD = 1 << 20
 """Number of bytes that may wait for a host which does not read; further bytes are lost.
 
