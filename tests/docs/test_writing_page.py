@@ -10,7 +10,7 @@ from adis_gonio.faces.cli import main
 
 PAGE = (Path(__file__).parents[2] / "docs" / "handover.md").read_text("utf-8")
 CONSOLE = re.search(r"```console\n(.*?)```", PAGE, re.S)[1]
-PYTHON = next(text for text in re.findall(r"```python\n(.*?)```", PAGE, re.S) if "bias_left_mg" in text)
+PYTHON = next(text for text in re.findall(r"```python\n(.*?)```", PAGE, re.S) if "offsets_lsb" in text)
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
 
 
@@ -36,8 +36,7 @@ def test_the_commands_give_what_the_page_shows_and_the_code_runs_on_it(tmp_path,
                 alike(a, b)
     names: dict = {}
     exec(PYTHON, names)
-    session, result = names["session"], names["result"]
+    result, calibration = names["result"], names["calibration"]
     assert result["bias_x"].value == pytest.approx(15.2, abs=0.05)
-    assert names["bias_left_mg"](session, result)["bias_x"] == pytest.approx(-0.2, abs=0.05)
-    assert names["offsets_recorded"](session).tolist() == [0, 0, 0]
-    assert names["offsets_in_force"](session)[0] == pytest.approx(-33 * 0.4672)
+    assert calibration["bias_x"].value == pytest.approx(-0.2, abs=0.05)
+    assert calibration.provenance.offsets_lsb[0] == -33

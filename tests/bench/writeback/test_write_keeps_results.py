@@ -14,12 +14,10 @@ from adis_gonio.bench.gyro_turns import gyro_turns_plan
 from adis_gonio.bench.writeback import (
     OffsetWriter,
     WriteSettings,
-    offsets_in_force,
-    offsets_recorded,
 )
 from adis_gonio.device.sensor.registers import GYRO_OFF
 from adis_gonio.faces.cli import main
-from adis_gonio.record.write_journal import operations_of
+from adis_gonio.record.write_journal import operations, operations_of
 from adis_gonio.tracing.trace_calibrations import gyro_calibration_of, load_calibration
 from bench.writeback.rig import OFFSETS, flash, new_bus, record
 
@@ -88,8 +86,11 @@ def test_fit_and_trace_of_both_parts_stay_and_coefficients_move_by_what_was_writ
         assert status == ((plan, part) in NOTHING_TO_WRITE)
     assert results(path, COMMANDS[plan]) == before
     session = load_session(path)
-    moved_mg = offsets_in_force(session) - offsets_recorded(session)
-    moved_dps = offsets_in_force(session, GYRO_OFF) - offsets_recorded(session, GYRO_OFF)
+    held = dict.fromkeys((*OFFSETS, *GYRO_OFF), 0)  # while it was recorded
+    for one in operations(session.facts["offset_writes"]):
+        held |= one.target
+    moved_mg = 0.4672 * np.array([held[name] for name in OFFSETS])
+    moved_dps = 0.018315 * np.array([held[name] for name in GYRO_OFF])
     for part, moved in zip(PARTS, (moved_mg, moved_dps), strict=True):
         assert np.any(moved) == ((plan, part) not in NOTHING_TO_WRITE)
     accel_now, gyro_now = calibrations(path)
@@ -146,7 +147,7 @@ def test_accelerometers_calibrated_before_a_write_serve_a_session_recorded_after
     assert any(flash(bus))
     later = new_bus(1, flash=dict(zip(OFFSETS, flash(bus), strict=True)))
     second = record(tmp_path / "second.session", later, gyro_turns_plan(1))
-    assert offsets_recorded(load_session(second)).any()
+    assert any(load_session(second).facts["registers"]["configured"][name] for name in OFFSETS)
     by_old, by_new = (
         document("fit", str(second), "--sensor-part", "gyro", "--calibration", str(path))
         for path in (exported, first)

@@ -20,9 +20,6 @@ from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.bench.writeback import (
     OffsetWriter,
     WriteSettings,
-    bias_left_mg,
-    offsets_in_force,
-    offsets_recorded,
     plan_offsets,
 )
 from adis_gonio.calibrate import Calibration
@@ -416,7 +413,7 @@ def test_a_save_that_fails_leaves_what_the_write_before_had_left(path):
         made.write()
     bus._exchange = exchange
     assert (numbers(bus), flash(bus)) == (NEW, OLD)
-    assert offsets_in_force(load_session(path)) == pytest.approx(np.array(NEW) * LSB)
+    assert fit(load_session(path)).calibration().provenance.offsets_lsb == tuple(NEW)
     assert writer(bus, path).undo().standing.registers == "old"
     assert (numbers(bus), bus.chip.memory["ENDURANCE"]) == (OLD, 0)
 
@@ -491,7 +488,7 @@ def test_a_kill_between_the_bytes_is_named_half_and_finished_or_set_back(path, f
     assert standing.registers == ["old", "half", "half", "half", "new"][frames]
     assert "broke off after 'planned'" in standing.text
     with pytest.raises(SessionError, match="interrupted"):
-        offsets_in_force(load_session(path))
+        fit(load_session(path)).calibration()
     other = shutil.copy(path, tmp_path / "other.session")
     finished = wrote(bus, path, SAVE)
     assert numbers(bus) == flash(bus) == NEW
@@ -505,21 +502,26 @@ def test_a_kill_between_the_bytes_is_named_half_and_finished_or_set_back(path, f
 # -- what coefficients still have to correct ---------------------------------------------------------------
 
 
+def remaining(result):
+    """The biases that the calibration of a fit states for the sensor as it is now."""
+    calibration = result.calibration()
+    return {name: calibration[name].value for name in ("bias_x", "bias_y")}
+
+
 def test_calibrating_again_finds_the_bias_that_the_first_session_says_is_left(path, tmp_path):
     bus = new_bus(3)
     first = load_session(path)
     found = fit(first)
-    assert bias_left_mg(first, found) == {n: found[n].value for n in ("bias_x", "bias_y")}
+    assert remaining(found) == {n: found[n].value for n in ("bias_x", "bias_y")}
     made = OffsetWriter(Adis16354(bus), path, SAVE)
     plan = made.plan()
     made.write()
-    after = load_session(path)
-    assert offsets_recorded(after).tolist() == [0, 0, 0]
-    assert offsets_in_force(after) == pytest.approx(np.array(NEW) * LSB)
-    left = bias_left_mg(after, found)
+    after = fit(load_session(path))
+    assert after.calibration().provenance.offsets_lsb == tuple(NEW)
+    left = remaining(after)
     again = load_session(record(tmp_path / "again.session", bus, "tumble", fixture_sigma_deg=0.02))
     second = fit(again)
-    assert offsets_recorded(again) == pytest.approx(np.array(NEW) * LSB)
+    assert tuple(again.facts["registers"]["configured"][name] for name in OFFSETS) == tuple(NEW)
     for axis in plan.axes:
         name = f"bias_{axis.axis}"
         u = np.hypot(found[name].u, second[name].u)
@@ -539,7 +541,7 @@ def test_calibrating_again_finds_the_bias_that_the_first_session_says_is_left(pa
     assert worst["left"] < 0.06
     assert worst["twice"] > 0.8
     writer(bus, path).undo()
-    assert bias_left_mg(load_session(path), found) == {n: found[n].value for n in ("bias_x", "bias_y")}
+    assert remaining(fit(load_session(path))) == {n: found[n].value for n in ("bias_x", "bias_y")}
 
 
 def test_a_resumed_session_refuses_a_part_with_other_offsets(path):
@@ -583,9 +585,8 @@ def test_coefficients_do_not_correct_again_what_the_chip_corrects(recorded, path
     now = fit(session)
     assert now["bias_x"].value == then["bias_x"].value  # the fit speaks of the recording
     calibration = now.calibration()
-    left = bias_left_mg(session, now)
-    for name in ("bias_x", "bias_y"):
-        assert calibration[name].value == pytest.approx(left[name])
+    for name, held in zip(("bias_x", "bias_y"), numbers(bus), strict=False):
+        assert calibration[name].value == pytest.approx(now[name].value + held * LSB)
         assert abs(calibration[name].value) <= LSB / 2
     assert calibration.provenance.offsets_lsb == numbers(bus)
     loaded = Calibration.load(path)

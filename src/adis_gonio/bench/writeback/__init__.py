@@ -6,15 +6,9 @@ negative bias: new = number during the recording − bias / LSB.
 
 from adis_gonio.bench.writeback.offset_plan import (
     WritePlan,
-    bias_left_mg,
-    offsets_in_force,
-    offsets_recorded,
     plan_gyro_offsets,
     plan_offsets,
 )
 from adis_gonio.bench.writeback.offset_writer import OffsetWriter, WriteSettings
 
-__all__ = [
-    "OffsetWriter", "WritePlan", "WriteSettings", "bias_left_mg", "offsets_in_force",
-    "offsets_recorded", "plan_gyro_offsets", "plan_offsets",
-]  # fmt: skip
+__all__ = ["OffsetWriter", "WritePlan", "WriteSettings", "plan_gyro_offsets", "plan_offsets"]

@@ -15,16 +15,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import SessionError
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF, VARIANTS, variant
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import changed_registers
-from adis_gonio.record.write_journal import INTERRUPTED, Numbers, operations_of
+from adis_gonio.record.write_journal import Numbers
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
@@ -285,66 +282,3 @@ def _unsure(axis: AxisPlan) -> list[str]:
     if axis.new != axis.recorded and axis.u > abs(axis.bias):
         return [f"{name} is {axis.bias:.2g} {unit} with u = {axis.u:.2g} {unit}: even its sign is open"]
     return []
-
-
-def offsets_recorded(session: Session, names: Sequence[str] = ACCEL_OFF) -> Floats:
-    """Return the offsets (3,) in mg that the sensor added to its outputs during the recording.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Offset registers; for the registers of the gyros (`GYRO_OFF`) the offsets are in °/s.
-
-    Raises
-    ------
-    SessionError
-        The session does not have the contents of the registers (a CSV, a generic sensor).
-    """
-    return _in_units(session, recorded_offsets(session, names), names)
-
-
-def offsets_in_force(session: Session, names: Sequence[str] = ACCEL_OFF) -> Floats:
-    """Return the offsets (3,) that the sensor adds now, after the last write-back of a session.
-
-    They are known from the session's archive. If nothing was written, these are the recorded offsets.
-    Offsets that were not saved last until the sensor's power is switched off.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Offset registers: of the accelerometers (offsets in mg) or of the gyros (offsets in °/s).
-
-    Raises
-    ------
-    SessionError
-        The session does not have the contents of the registers (a CSV, a generic sensor), or a write was
-        interrupted, so that only the sensor has the present offsets.
-    """
-    known = operations_of(session, names)
-    if known and known[-1].open:
-        raise SessionError(f"{session.source}: {INTERRUPTED}")
-    now = recorded_offsets(session, names) | (known[-1].target if known else {})
-    return _in_units(session, now, names)
-
-
-def bias_left_mg(session: Session, result: FitResult) -> dict[str, float]:
-    """Return the biases of the sensor in mg with its present offsets, by name (`bias_x` …).
-
-    `result` is the fit of the session. If the session records no write to the offset registers, these are
-    the biases of the fit.
-
-    Raises
-    ------
-    SessionError
-        A write was interrupted, so that only the sensor has the present offsets.
-    """
-    found = {name: result[name].value for name in BIASES if name in result}
-    if not operations_of(session):
-        return found
-    moved = offsets_in_force(session) - offsets_recorded(session)
-    return {name: value + float(moved[BIASES.index(name)]) for name, value in found.items()}
-
-
-def _in_units(session: Session, numbers: Numbers, names: Sequence[str]) -> Floats:
-    lsb = variant(session.sensor).lsb(BY_NAME[names[0]].kind)[0]
-    return lsb * np.array([numbers[name] for name in names], dtype=np.float64)
