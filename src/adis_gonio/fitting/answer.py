@@ -538,10 +538,6 @@ class Answer:
 
     # -- tables and lines of text -----------------------------------------------------------------
 
-    def parameter_rows(self) -> list[list[str]]:
-        """Return the table rows of all parameters: name, unit, value, u, U, k, and degrees of freedom ν."""
-        return [parameter_row(name, value) for name, value in self.parameters.items()]
-
     def budget_rows(self) -> tuple[list[str], Rows]:
         """Return the head and the rows of the budget's table: one row for each source of uncertainty.
 

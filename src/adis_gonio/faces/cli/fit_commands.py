@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -152,9 +152,10 @@ def print_answer(
     for k, line in enumerate(answer.headline(screen.width)):
         screen.print(line, style=None if k else "bold")
     screen.print()
-    rows = answer.parameter_rows()
-    if truth is not None or len(rows) > len([name for name in answer.values if name != "angle"]):
-        _print_parameters(screen, rows, answer.parameters, truth)
+    if truth is not None or len(answer.parameters) > len(
+        [name for name in answer.values if name != "angle"]
+    ):
+        _print_parameters(screen, answer.parameters, truth)
     for line in answer.facts():
         screen.print(f"  {line}")
     names, rows = answer.budget_rows()
@@ -168,19 +169,17 @@ def print_answer(
 
 
 def _print_parameters(
-    screen: Console,
-    given: Iterable[Sequence[str]],
-    parameters: Mapping[str, Value],
-    truth: Mapping[str, float] | None,
+    screen: Console, parameters: Mapping[str, Value], truth: Mapping[str, float] | None = None
 ) -> None:
+    from adis_gonio.fitting.answer import parameter_row
+
     columns = ["parameter", "unit", "value", "u", "U (95 %)", "k", "ν"]
-    rows = [list(row) for row in given]
+    rows = [parameter_row(name, value) for name, value in parameters.items()]
     if truth is not None:
         columns.insert(2, "truth")
         for row, (name, value) in zip(rows, parameters.items(), strict=True):
-            row.insert(
-                2, format_fixed(truth[name], count_decimals(value.u or 0.0)) if name in truth else ""
-            )
+            true = format_fixed(truth[name], count_decimals(value.u or 0.0)) if name in truth else ""
+            row.insert(2, true)
     show.print_table(screen, columns, rows, (0, 1), bold=("ΔK", "Δφ"))
 
 
@@ -235,11 +234,11 @@ def show_gyro_fit(
     screen = show.console(most=show.WIDTH)
     title = f"{session.title}: " if session.title else ""
     screen.print(f"{title}gyros, {result.held}, {session.sensor}\n", style="bold")
-    _print_gyros(screen, result.parameters, session.facts.get("truth"))
+    _print_parameters(screen, result.parameters, session.facts.get("truth"))
     screen.print()
     if result.triad is not None:
         screen.print("The gyros' triad: rotation against the accelerometers', and 90° minus its angles")
-        _print_gyros(screen, result.triad, None)
+        _print_parameters(screen, result.triad)
         screen.print()
     screen.print(
         f"  residual {result.residual_rms_dps:.3g} °/s rms, χ² {result.chi2:.1f} at {result.dof} degrees of"
@@ -254,13 +253,6 @@ def show_gyro_fit(
         show.print_table(screen, ("model", *"xyz"), scores)
     for text in result.warnings:
         screen.print(text)
-
-
-def _print_gyros(screen: Console, parameters: dict[str, Value], truth: Mapping[str, float] | None) -> None:
-    from adis_gonio.fitting.answer import parameter_row
-
-    rows = [parameter_row(name, value) for name, value in parameters.items()]
-    _print_parameters(screen, rows, parameters, truth)
 
 
 @option.command("allan", "--output --sensor-part --json")
