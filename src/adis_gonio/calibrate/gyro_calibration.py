@@ -40,11 +40,10 @@ GYRO_OFFSET_DPS = VARIANTS["adis16354"].lsb(Kind.GYRO_OFFSET)[0]
 """Size in °/s of the LSB of the registers XGYRO_OFF …, equal at every range (data sheet, A)."""
 
 PAIRS = tuple(i + j for i in AXES for j in AXES)
-OTHER_PAIRS = tuple(pair for pair in PAIRS if pair[0] != pair[1])
 _KINDS: dict[str, tuple[Sequence[str], str]] = {
     "gyro_bias": (AXES, "dps"),
     "gyro_scale": (AXES, "1"),
-    "gyro_misalignment": (OTHER_PAIRS, "deg"),
+    "gyro_misalignment": (tuple(pair for pair in PAIRS if pair[0] != pair[1]), "deg"),
     "g_sensitivity": (PAIRS, "dps/g"),
     "g2_sensitivity": (PAIRS, "dps/g²"),
     "gyro_bias_temperature": (AXES, "dps/°C"),

@@ -264,7 +264,7 @@ def _reason_not_corrected(term: Term, result: TraceResult, at_s: float) -> NotCo
 
 
 def gyro_calibration_of_trace(result: TraceResult) -> GyroCalibration:
-    """Return the calibration by the final model of a gyro trace, for the offsets during the recording.
+    """Return the calibration by the final model of a gyro trace, for the sensor's present offsets.
 
     It has the zero rates and the correctable effects.
 
@@ -272,6 +272,8 @@ def gyro_calibration_of_trace(result: TraceResult) -> GyroCalibration:
     ------
     FitError
         The trace was not finished.
+    SessionError
+        A write of gyro offsets was interrupted.
     """
     final = _checked_fit(result)
     kept = [term for term in final.terms if isinstance(term, NamedTerm) and term.effect.correctable]
@@ -290,13 +292,14 @@ def gyro_calibration_of_trace(result: TraceResult) -> GyroCalibration:
     matrix = matrix * result.inflation
     sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     rows = map(Coefficient, stated, values.tolist(), sizes.tolist(), [unit for _, unit in shown])
-    return GyroCalibration.of(
+    made = GyroCalibration.of(
         dict(zip(stated, rows, strict=True)),
         (stated, matrix),
         method="trace",
         where=result.provenance,
         not_corrected=tuple(left),
     )
+    return made.as_written(result.provenance)
 
 
 def _not_corrected(term: Term, nameless: str, unknown: str) -> NotCorrected:
@@ -351,19 +354,11 @@ def gyro_calibration_of(session: Session, *, traced: bool = False) -> GyroCalibr
     SessionError
         A write of gyro offsets was interrupted, so that the current offsets are unknown.
     """
-    return gyros_as_recorded(session, traced=traced).as_written(provenance_of(session))
-
-
-def gyros_as_recorded(session: Session, *, traced: bool = False) -> GyroCalibration:
-    """Return the calibration of a session's gyros, valid for the offsets that they had while recording.
-
-    `traced` is True for the traced model with its effects.
-    """
     if traced:
         from adis_gonio.tracing.trace import trace
 
         return gyro_calibration_of_trace(trace(session, part="gyro"))
-    return fit_gyro(session).calibration_as_recorded()
+    return fit_gyro(session).calibration()
 
 
 _FOR_OTHERS = (".h", ".hpp", ".xml", ".html", ".parquet")

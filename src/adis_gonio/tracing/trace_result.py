@@ -386,7 +386,7 @@ class TraceResult(ParameterTable):
         if self.part == GYRO:
             from adis_gonio.tracing.trace_calibrations import gyro_calibration_of_trace
 
-            return gyro_calibration_of_trace(self).as_written(self.provenance)
+            return gyro_calibration_of_trace(self)
         if self.part != ACCELEROMETER:
             raise FitError(f"no calibration is made of a trace of the part {self.part}")
         from adis_gonio.tracing.trace_calibrations import calibration_of_trace
