@@ -245,9 +245,7 @@ class Given:
         for spread in np.unique(grid.spread[:h]):  # all means of one spread in one call
             rows = np.flatnonzero(grid.spread[:h] == spread)
             factors[:, rows] = self.log_factors(grid.mean[rows], float(spread))
-        cut = np.minimum(factors, most)
-        excess = np.expm1(cut)
-        return np.concatenate([cut if w >= 1 else np.log1p(w * excess) for w in SHARES], axis=1)
+        return np.concatenate([mixed(factors, share, most) for share in SHARES], axis=1)
 
 
 _FOREIGN = 1e-3

@@ -391,17 +391,12 @@ def means_of(
     in the model. The uncertainty follows from the curvature of the log likelihood in share, spread and mean
     together.
     """
-    units, start = population.units, part.amplitudes
-    size = _sizes(population, others, part)
-    columns = [units.columns[k] for k in part.candidate.index]
-    u = _uncertainty(population, others, part)
-    mean = {
-        column.parameter: Value(
-            float(start.mean[k] * size[k]), None if u is None else float(u[k] * size[k]), column.unit
-        )
-        for k, column in enumerate(columns)
-    }
-    return mean, {column.parameter: float(start.spread * size[k]) for k, column in enumerate(columns)}
+    size, u = _sizes(population, others, part), _uncertainty(population, others, part)
+    means, spreads = (part.amplitudes.mean * size).tolist(), (part.amplitudes.spread * size).tolist()
+    us = [None] * len(size) if u is None else (u * size).tolist()
+    columns = [population.units.columns[k] for k in part.candidate.index]
+    mean = {c.parameter: Value(m, own, c.unit) for c, m, own in zip(columns, means, us, strict=True)}
+    return mean, {c.parameter: spread for c, spread in zip(columns, spreads, strict=True)}
 
 
 def _sizes(population: Population, others: Sequence[ChosenCause], part: ChosenCause) -> Floats:
