@@ -12,14 +12,7 @@ from adis_gonio.calibrate import Calibration, Coefficient
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.device.sensor.settings import Configuration
-from adis_gonio.live.live_angle import (
-    LiveSource,
-    SmoothedMeter,
-    calibration_for,
-    live_angles,
-    open_live,
-    sensing_of,
-)
+from adis_gonio.live.live_angle import AngleMeter, LiveSource, calibration_for, live_angles, open_live
 from adis_gonio.record.blocks import ValueBlock
 from adis_gonio.record.plans import plan
 from adis_gonio.record.source import Settings
@@ -51,15 +44,14 @@ def turned(url: str, calibration: Calibration | None, to_deg: float, seconds: fl
     """Readings of a part that rests, turns and rests, each with the stage's true angle at its time."""
     with open_sensor(url) as sensor:
         names = ("XACCL_OUT", "YACCL_OUT", "ZACCL_OUT", "XTEMP_OUT", "XGYRO_OUT", "YGYRO_OUT", "ZGYRO_OUT")
-        meter = SmoothedMeter(sensing_of(sensor.configuration(), "adis16354", 2.0), calibration, lag_s=0.25)
+        meter = AngleMeter(sensor.configuration(), 2.0, 0.4672, calibration, part="adis16354", lag_s=0.25)
         bus, shown, begun = sensor.bus, [], False
         with sensor.stream(names, block_scans=82) as stream:
             first = None
             for block in stream:
-                meter.feed(block)
+                reading = meter.feed(block).smoothed
                 end_s = float(block.time_s[-1])
                 first = end_s if first is None else first
-                reading = meter.reading(end_s)
                 if reading is not None:
                     at = bus.world.stage.at(np.array([end_s - reading.lag_s]))
                     shown.append((reading, math.degrees(float(at.angle_rad[0])), end_s - first))
@@ -130,11 +122,11 @@ def test_a_link_that_breaks_ends_the_angles_with_its_error():
 
 
 def test_a_sensor_without_gyros_has_no_smoothed_angle():
-    meter = SmoothedMeter(sensing_of(RATE, "generic", 2.0), lag_s=0.0)
+    meter = AngleMeter(RATE, 2.0, 0.4672, lag_s=0.0)
     for k in range(50):
         time_s = np.arange(82 * k, 82 * (k + 1)) / 819.2
-        meter.feed(ValueBlock(("ax", "ay", "az"), np.full((82, 3), 500.0), time_s))
-    assert meter.reading(5.0) is None
+        reading = meter.feed(ValueBlock(("ax", "ay", "az"), np.full((82, 3), 500.0), time_s))
+    assert reading.smoothed is None
 
 
 # -- with the gyros calibrated ---------------------------------------------------------------------------
@@ -166,14 +158,12 @@ def after_seconds(calibration: Calibration, offset_lsb: int = 0, seconds: float 
         names = ("XACCL_OUT", "YACCL_OUT", "ZACCL_OUT", "XTEMP_OUT", "XGYRO_OUT", "YGYRO_OUT", "ZGYRO_OUT")
         now = (sensor.read("XGYRO_OFF"), sensor.read("YGYRO_OFF"), sensor.read("ZGYRO_OFF"))
         source = LiveSource(sensor.configuration(), None, 2.0, 0.4672, "adis16354", (0, 0, 0), now)
-        meter = SmoothedMeter(
-            sensing_of(source.measuring, source.part, 2.0), calibration_for(calibration, source), lag_s=0.1
-        )
+        now = calibration_for(calibration, source)
+        meter = AngleMeter(source.measuring, 2.0, 0.4672, now, part=source.part, lag_s=0.1)
         with sensor.stream(names, block_scans=82) as stream:
             for _ in range(round(10 * seconds)):
-                block = next(stream)
-                meter.feed(block)
-        return meter.reading(float(block.time_s[-1]))
+                reading = meter.feed(next(stream))
+        return reading.smoothed
 
 
 def test_a_gyro_calibration_is_used_and_what_the_chip_corrects_is_not_corrected_again(

@@ -4,10 +4,10 @@ The angle is positive for the stage's positive turn. The raw angle takes the rea
 gains, square axes and no bias. If a calibration states the stage's zero, the angle is 0 there, otherwise it
 is 0 if X reads +1 g.
 
-`AngleMeter` averages short spans of samples. `SmoothedMeter` passes the samples to the smoother of gyros
-and gravity, and adds the calibration to the uncertainty of its angle. Impossible values are reported and
-increase the uncertainty: a length of gravity at rest that contradicts the calibration, and a zero rate that
-the gyros' calibration excludes, such as with the file of another sensor.
+`AngleMeter` averages short spans of samples, and passes all samples to the smoother of gyros and gravity.
+The calibration is part of the uncertainty of both angles. Impossible values are reported and increase the
+uncertainty: a length of gravity at rest that contradicts the calibration, and a zero rate that the gyros'
+calibration excludes, such as with the file of another sensor.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, GYRO_OFF, GYRO_OUT, TEMP_OUT, VARIANTS
 from adis_gonio.device.sensor.settings import Configuration, white_noise_gain
 from adis_gonio.live.motion_model import BEND, LAG_S, AngleSmoother, GyroKnowledge, Sensing
-from adis_gonio.record.blocks import Block, session_columns
+from adis_gonio.model.records import SERIES
+from adis_gonio.record.blocks import GENERIC, Block, session_columns
 from adis_gonio.record.source import ChipSource, Measuring, SampleStream, Settings, open_source
 from adis_gonio.record.stillness import limits_from_noise, window_samples
 
@@ -99,101 +100,6 @@ def sensing_of(measuring: Measuring, part: str, noise_mg: float) -> Sensing:
         range_dps,
         known.bias_instability_mg if known else 0.0,
     )
-
-
-class SmoothedMeter:
-    """Passes blocks of samples to a smoother; adds the calibration's uncertainty to its angle.
-
-    Parameters
-    ----------
-    sensing : Sensing
-        Properties of the sensor.
-    calibration : Calibration or None
-        Calibration for the sensor's present offsets (`calibration_for`); None for uncalibrated angles.
-    lag_s : float
-        Delay of the reported angle; 0 for the filter without smoothing.
-    """
-
-    def __init__(
-        self, sensing: Sensing, calibration: Calibration | None = None, *, lag_s: float = LAG_S
-    ) -> None:
-        self._calibration = calibration
-        self._period_s = sensing.period_s
-        self._drift_rad = sensing.drift_mg / 1000  # gravity is 1000 mg
-        gyro = None if calibration is None else calibration.gyro
-        stated = {} if gyro is None else {one.name: one.u for one in gyro.parameters}
-        self._smoother = AngleSmoother(
-            sensing,
-            GyroKnowledge.of(gyro, stated),
-            lag_s=lag_s,
-            corrected=None if calibration is None else self._corrected,
-            bend=BEND if calibration is None else _bend_of(calibration),
-        )
-        self.off_deg = 0.0
-        """Relative error of gravity's length at the last rest, as an angle in degrees.
-
-        It is 0 if it does not contradict the calibration.
-        """
-
-    def feed(self, block: Block) -> None:
-        """Add a block of samples; a block without gyro readings is ignored."""
-        columns = session_columns(block)
-        if not len(block) or not all(name in columns for name in ("gx", "gy", "gz")):
-            return
-        gyro = np.column_stack([columns[name] for name in ("gx", "gy", "gz")])
-        self._smoother.feed(block.time_s, block.accel_mg, gyro, columns.get("temp_c"))
-
-    def take_rest(self, mean_mg: Floats, temperature_c: float | None) -> None:
-        """Check the calibration at rest: compare the length of the reading `mean_mg` with local gravity.
-
-        `temperature_c` is None if the sensor reports none: the mean of the calibration's session is taken.
-        If the length differs from local gravity by more than the uncertainties allow, the difference is
-        added to the uncertainty of later angles, with a note.
-        """
-        calibration = self._calibration
-        if calibration is None:
-            return
-        gravity = self._corrected(mean_mg, temperature_c) / calibration.gravity_mg
-        along = math.hypot(float(gravity[0]), float(gravity[1]))
-        if along < 0.1:
-            return
-        # A calibration in the plane has no Z: use the raw reading of Z, with a larger error.
-        planar = len(gravity) < 3
-        z = float(mean_mg[2]) / calibration.gravity_mg if planar else float(gravity[2])
-        # Relative error of the length of gravity, and the largest allowed error.
-        off = abs(math.hypot(along, z) - 1.0)
-        _, u_deg = corrected_angle(calibration, mean_mg, temperature_c)
-        across = abs(z) * Z_ERROR if planar else 0.0
-        allowed = math.hypot(math.radians(u_deg or 0.0), 3 * self._drift_rad, LENGTH_FLOOR, across)
-        self.off_deg = math.degrees(off) if off > 3 * allowed else 0.0
-
-    def reading(self, end_s: float) -> Smoothed | None:
-        """Return the smoothed angle at one lag before `end_s`, the time of the last sample.
-
-        Return None until a lag has passed.
-        """
-        angle, calibration = self._smoother.angle(), self._calibration
-        if angle is None:
-            return None
-        shown_deg, u_deg, notes = angle.angle_deg, angle.u_deg, angle.notes
-        if calibration is not None:
-            if "alpha" in calibration:
-                shown_deg = wrap_degrees(shown_deg + calibration["alpha"].value)
-            _, by_calibration = corrected_angle(calibration, angle.accel_mg, angle.temperature_c)
-            u_deg = math.hypot(u_deg, by_calibration or 0.0, self.off_deg)
-            notes = (*notes, "calibration") if self.off_deg else notes
-        return Smoothed(
-            shown_deg, u_deg, end_s - angle.time_s, angle.rate_dps, angle.zero_dps, angle.zero_u_dps, notes
-        )
-
-    def _corrected(self, accel_mg: Floats, temperature_c: float | None) -> Floats:
-        """Return the calibrated gravity vector (3,) in mg; zeros if the calibration cannot compute it.
-
-        `temperature_c` None takes the mean of the calibration's session.
-        """
-        assert self._calibration is not None
-        gravity = self._calibration.apply(accel_mg, temperature_c) * self._calibration.gravity_mg
-        return np.nan_to_num(gravity)
 
 
 def corrected_angle(
@@ -324,10 +230,12 @@ class AngleMeter:
         the variation that counts as rest.
     calibration : Calibration or None
         Calibration for the sensor's present offsets (`calibration_for`); None for the raw angle only.
+    part : str
+        Name of the sensor's variant.
     every_s : float
         Least length in time of the span of samples that one reading averages.
-    smoother : SmoothedMeter or None
-        Computes the smoothed angle; None for readings without it.
+    lag_s : float
+        Delay of the smoothed angle; 0 for the filter without smoothing.
     """
 
     def __init__(
@@ -336,11 +244,28 @@ class AngleMeter:
         noise_mg: float,
         step_mg: float,
         calibration: Calibration | None = None,
+        *,
+        part: str = GENERIC,
         every_s: float = EVERY_S,
-        smoother: SmoothedMeter | None = None,
+        lag_s: float = LAG_S,
     ) -> None:
-        self._smoother = smoother
         self._calibration = calibration
+        sensing = sensing_of(measuring, part, noise_mg)
+        self._drift_rad = sensing.drift_mg / 1000  # gravity is 1000 mg
+        gyro = None if calibration is None else calibration.gyro
+        stated = {} if gyro is None else {one.name: one.u for one in gyro.parameters}
+        self._smoother = AngleSmoother(
+            sensing,
+            GyroKnowledge.of(gyro, stated),
+            lag_s=lag_s,
+            corrected=None if calibration is None else self._corrected,
+            bend=BEND if calibration is None else _bend_of(calibration),
+        )
+        self._off_deg = 0.0
+        """Relative error of gravity's length at the last rest, as an angle in degrees.
+
+        It is 0 if it does not contradict the calibration.
+        """
         self._window = window_samples(measuring)
         self._limits = limits_from_noise(np.full(3, noise_mg), self._window, step_mg)
         self._least = max(1, round(every_s * measuring.sample_rate_hz))
@@ -357,8 +282,10 @@ class AngleMeter:
         self._lost += block.lost
         if not len(block):
             return None
-        if self._smoother is not None:
-            self._smoother.feed(block)
+        columns = session_columns(block)
+        if all(name in columns for name in SERIES["gyro"]):
+            gyro = np.column_stack([columns[name] for name in SERIES["gyro"]])
+            self._smoother.feed(block.time_s, block.accel_mg, gyro, columns.get("temp_c"))
         if self._first_s is None:
             self._first_s = float(block.time_s[0])
         self._waiting.append(block)
@@ -383,16 +310,13 @@ class AngleMeter:
             # Only the upper limit is tested: a stuck axis is reported by `bringup`.
             still = bool((spread_mg <= self._limits.upper).all())
         end_s = float(blocks[-1].time_s[-1])
-        smoothed, off_deg = None, 0.0
-        if self._smoother is not None:
-            if still:
-                self._smoother.take_rest(mean, temperature_c)
-            off_deg, smoothed = self._smoother.off_deg, self._smoother.reading(end_s)
+        if still:
+            self._take_rest(mean, temperature_c)
         raw_deg, u_deg = self._raw(mean, u_mg)
         corrected_deg = None
         if self._calibration is not None:
             corrected_deg, u_deg = corrected_angle(self._calibration, mean, temperature_c, u_mg)
-            u_deg = None if u_mg is None or u_deg is None else math.hypot(u_deg, off_deg)
+            u_deg = None if u_mg is None or u_deg is None else math.hypot(u_deg, self._off_deg)
         return LiveAngle(
             end_s - first_s,
             raw_deg,
@@ -402,8 +326,8 @@ class AngleMeter:
             None if spread_mg is None else float(spread_mg.max()),
             temperature_c,
             self._lost,
-            smoothed,
-            ("calibration",) if off_deg else (),
+            self._smoothed(end_s),
+            ("calibration",) if self._off_deg else (),
         )
 
     def _raw(self, mean_mg: Floats, u_mg: Floats | None) -> tuple[float, float | None]:
@@ -415,6 +339,61 @@ class AngleMeter:
         if u_mg is not None and (x or y):
             u_deg = math.degrees(math.hypot(y * u_mg[0], x * u_mg[1]) / (x * x + y * y))
         return wrap_degrees(zero_deg + float(raw_angle_deg(mean_mg))), u_deg
+
+    def _take_rest(self, mean_mg: Floats, temperature_c: float | None) -> None:
+        """Check the calibration at rest: compare the length of the reading `mean_mg` with local gravity.
+
+        `temperature_c` is None if the sensor reports none: the mean of the calibration's session is taken.
+        If the length differs from local gravity by more than the uncertainties allow, the difference is
+        added to the uncertainty of later angles, with a note.
+        """
+        calibration = self._calibration
+        if calibration is None:
+            return
+        gravity = self._corrected(mean_mg, temperature_c) / calibration.gravity_mg
+        along = math.hypot(float(gravity[0]), float(gravity[1]))
+        if along < 0.1:
+            return
+        # A calibration in the plane has no Z: use the raw reading of Z, with a larger error.
+        planar = len(gravity) < 3
+        z = float(mean_mg[2]) / calibration.gravity_mg if planar else float(gravity[2])
+        # Relative error of the length of gravity, and the largest allowed error.
+        off = abs(math.hypot(along, z) - 1.0)
+        _, u_deg = corrected_angle(calibration, mean_mg, temperature_c)
+        across = abs(z) * Z_ERROR if planar else 0.0
+        allowed = math.hypot(math.radians(u_deg or 0.0), 3 * self._drift_rad, LENGTH_FLOOR, across)
+        self._off_deg = math.degrees(off) if off > 3 * allowed else 0.0
+
+    def _smoothed(self, end_s: float) -> Smoothed | None:
+        """Return the smoothed angle at one lag before `end_s`, the time of the last sample.
+
+        Return None until a lag has passed.
+        """
+        angle, calibration = self._smoother.angle(), self._calibration
+        if angle is None:
+            return None
+        shown_deg, u_deg, notes = angle.angle_deg, angle.u_deg, angle.notes
+        if calibration is not None:
+            if "alpha" in calibration:
+                shown_deg = wrap_degrees(shown_deg + calibration["alpha"].value)
+            _, by_calibration = corrected_angle(calibration, angle.accel_mg, angle.temperature_c)
+            u_deg = math.hypot(u_deg, by_calibration or 0.0, self._off_deg)
+            notes = (*notes, "calibration") if self._off_deg else notes
+        return Smoothed(
+            shown_deg, u_deg, end_s - angle.time_s, angle.rate_dps, angle.zero_dps, angle.zero_u_dps, notes
+        )
+
+    def _corrected(self, accel_mg: Floats, temperature_c: float | None) -> Floats:
+        """Return the calibrated gravity vector (3,) in mg; zeros if the calibration cannot compute it.
+
+        `temperature_c` None takes the mean of the calibration's session.
+        """
+        assert self._calibration is not None
+        try:
+            gravity = self._calibration.apply(accel_mg, temperature_c) * self._calibration.gravity_mg
+        except UsageError:  # shorter than any gravity in the plane
+            return np.zeros(self._calibration.axes)
+        return np.nan_to_num(gravity)
 
 
 @dataclass(frozen=True)
@@ -529,9 +508,9 @@ def live_angles(
         The link broke, or the sensor does not answer.
     """
     now = None if calibration is None else calibration_for(calibration, source)
-    sensing = sensing_of(source.measuring, source.part, source.noise_mg)
-    smoother = SmoothedMeter(sensing, now, lag_s=lag_s)
-    meter = AngleMeter(source.measuring, source.noise_mg, source.step_mg, now, smoother=smoother)
+    meter = AngleMeter(
+        source.measuring, source.noise_mg, source.step_mg, now, part=source.part, lag_s=lag_s
+    )
     for block in source.stream:
         reading = meter.feed(block)
         if reading is not None:
