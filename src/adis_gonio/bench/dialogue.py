@@ -48,8 +48,8 @@ class Operator:
 
     Attributes
     ----------
-    stopping, pausing, going_on : threading.Event
-        Flags that are set to end the session, to pause it, and to continue it after a pause.
+    stopping, pausing : threading.Event
+        Flags that are set to end the session, and while it is paused.
     """
 
     def __init__(self) -> None:
@@ -58,7 +58,6 @@ class Operator:
         self._allowed: frozenset[Reply] = frozenset()
         self.stopping = threading.Event()
         self.pausing = threading.Event()
-        self.going_on = threading.Event()
 
     def open_question(self, answers: frozenset[Reply]) -> None:
         """Open a question with these possible answers, and discard late answers to earlier questions."""
@@ -125,13 +124,11 @@ class Operator:
 
     def pause(self) -> None:
         """Pause the session until `unpause`; an unfinished dwell is archived as interrupted."""
-        self.going_on.clear()
         self.pausing.set()
 
     def unpause(self) -> None:
         """Continue the session after a pause: the open question is asked again."""
         self.pausing.clear()
-        self.going_on.set()
 
     def note(self, text: str) -> None:
         """Record the remark `text` in the session, with the time and the present position."""
@@ -285,7 +282,7 @@ class Questions:
         yield Paused()
         while self._pausing and not self.stopped:
             yield from self.remarks(place)
-            self._operator.going_on.wait(0.1)  # s on the wall clock until remarks are read again
+            self._operator.stopping.wait(0.1)  # s on the wall clock until remarks are read again
         self.ledger.note("unpaused", {"place": place})
         yield Unpaused()
 

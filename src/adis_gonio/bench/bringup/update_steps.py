@@ -383,14 +383,13 @@ class SamplePeriods(BringupStep):
         if not ratios:
             return found.not_measured(why)
         # All periods come from one clock, whose error the most precise ratio shows.
-        ratio, u = np.array(ratios).T
-        best = int(np.argmin(u))
-        limit = np.where(np.arange(len(u)) == best, _CLOCK, _STEADY) + Z * np.hypot(u, u[best])
-        off = ratio / np.where(np.arange(len(u)) == best, 1.0, ratio[best]) - 1
-        wrong = [
+        clock, clock_u = min(ratios, key=lambda one: one[1])
+        off = clock - 1
+        wrong = [f"the periods are {100 * off:.2g} % off"] if abs(off) > _CLOCK + Z * clock_u else []
+        wrong += [
             f"{figure.name} is {figure.value:.4g} ms instead of {figure.expected:.4g} ms"
-            for figure, one, most in zip(found.figures, off, limit, strict=True)
-            if abs(one) > most
+            for figure, (ratio, u) in zip(found.figures, ratios, strict=True)
+            if abs(ratio / clock - 1) > _STEADY + Z * math.hypot(u, clock_u)
         ]
         text = "; ".join(wrong) or "every period is the time base times (N + 1)"
         found.check("sample_period", not wrong, text, *found.figures)
