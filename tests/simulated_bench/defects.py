@@ -270,7 +270,7 @@ _HELD = offset_writer.held_offsets
 
 def _pool_interrupted(self: archive.ArchiveView) -> list[Any]:
     """Interrupted dwells count like complete ones."""
-    latest = {a.place: a.number for a in self.attempts() if a.blocks}
+    latest = {a.place: a.number for a in self.attempts() if a.stored_blocks}
     return [a for a in self.attempts() if a.number in latest.values()]
 
 

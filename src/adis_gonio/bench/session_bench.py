@@ -14,7 +14,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import ChipError, SessionError, UsageError
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.record.archive import ArchiveView
-from adis_gonio.record.archive_tables import JsonDict, Move, StoredAttempt, utc_now
+from adis_gonio.record.archive_tables import Attempt, JsonDict, Move, utc_now
 from adis_gonio.record.plans import Plan, Position
 from adis_gonio.record.source import (
     LEAST_SAMPLES,
@@ -370,7 +370,7 @@ class SessionBench:
         while (ahead := bus_s - source.now_s()) > 0:
             source.sleep_s(ahead if ahead < CHECKPOINT_S else ahead - CHECKPOINT_S / 2)
 
-    def truth(self, dwells: Sequence[StoredAttempt] = (), dwell_s: float = 0.0) -> dict[str, float] | None:
+    def truth(self, dwells: Sequence[Attempt] = (), dwell_s: float = 0.0) -> dict[str, float] | None:
         """Return the true parameters of a simulation, averaged over the last `dwell_s` of each dwell.
 
         Returns None for a real sensor.

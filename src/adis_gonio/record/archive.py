@@ -383,19 +383,20 @@ class ArchiveView(Closing):
         extended = self.last("plan")
         return self.header().plan if extended is None else Plan.from_dict(extended)
 
-    def attempts(self) -> list[schema.StoredAttempt]:
+    def attempts(self) -> list[schema.Attempt]:
         """Return all attempts to record a dwell, complete or not, in the order of their numbers."""
         offsets = {run["run"]: run["clock_offset_s"] for run in self.runs()}
         stored = []
         for row in self._rows("attempts", "attempt"):
             position = Position(row.pop("angle_deg"), row.pop("approach"), row.pop("use"))
             row |= {"number": row.pop("attempt"), "registers": tuple(row["registers"])}
+            row["stored_blocks"] = row.pop("blocks")
             offset_s = offsets.get(row["run"], math.nan)
-            stored.append(schema.StoredAttempt(position=position, offset_s=offset_s, **row))
+            stored.append(schema.Attempt(position=position, offset_s=offset_s, **row))
         self._refuse_strangers(stored)
         return stored
 
-    def _refuse_strangers(self, stored: list[schema.StoredAttempt]) -> None:
+    def _refuse_strangers(self, stored: list[schema.Attempt]) -> None:
         """Raise `DataError` if an attempt with a valid row contradicts the header, the plan or the runs."""
         header, places = self.header(), len(self.plan())
         runs = {run["run"]: run["continues"] for run in self.runs()}
@@ -411,9 +412,9 @@ class ArchiveView(Closing):
                 wrong = f"run {attempt.run}, which is not there"
             elif attempt.place >= places:
                 wrong = f"place {attempt.place} of a plan with {places}"
-            elif attempt.blocks and attempt.variant != header.variant:
+            elif attempt.stored_blocks and attempt.variant != header.variant:
                 wrong = f"samples of '{attempt.variant}', the session is of '{header.variant}'"
-            elif attempt.blocks and not scanned:
+            elif attempt.stored_blocks and not scanned:
                 wrong = "registers that cannot be scanned together"
             if wrong:
                 raise damaged(self.path, f"attempt {attempt.number} has {wrong}")
@@ -422,7 +423,7 @@ class ArchiveView(Closing):
             if after and not of_number.get(after, run) < run:
                 raise damaged(self.path, f"run {run} goes on after attempt {after}")
 
-    def dwells(self) -> list[schema.StoredAttempt]:
+    def dwells(self) -> list[schema.Attempt]:
         """Return the complete dwells in the order of recording, at most one for each position of the plan.
 
         If a position was repeated, only its last dwell counts. If the operator withdrew this dwell, the
@@ -494,7 +495,7 @@ class ArchiveView(Closing):
         settled = {a.place for a in self.dwells()} | self.skipped()
         return [place for place in range(len(self.plan())) if place not in settled]
 
-    def blocks(self, attempt: schema.StoredAttempt, phase: schema.Phase | None = None) -> list[Block]:
+    def blocks(self, attempt: schema.Attempt, phase: schema.Phase | None = None) -> list[Block]:
         """Return the blocks of samples of an attempt, of one phase or (None) of all phases.
 
         Raises
@@ -508,11 +509,13 @@ class ArchiveView(Closing):
             (stored,) = self._connection.execute(
                 "SELECT COUNT(*) FROM blocks WHERE attempt = ?", (attempt.number,)
             ).fetchone()
-        if stored != attempt.blocks:
-            raise damaged(self.path, f"{stored} of {attempt.blocks} blocks of attempt {attempt.number}")
+        if stored != attempt.stored_blocks:
+            raise damaged(
+                self.path, f"{stored} of {attempt.stored_blocks} blocks of attempt {attempt.number}"
+            )
         return [self._block(attempt, row) for row in rows]
 
-    def _block(self, attempt: schema.StoredAttempt, row: schema.JsonDict) -> Block:
+    def _block(self, attempt: schema.Attempt, row: schema.JsonDict) -> Block:
         where = f"block {row['sequence']} of attempt {attempt.number}"
         scans, words, time_s = row["scans"], row["words"], row["time_s"]
         width = len(attempt.registers) * (8 if attempt.variant == GENERIC else 2)
@@ -534,7 +537,7 @@ class ArchiveView(Closing):
             raise damaged(self.path, f"the samples of {where} are no numbers of a sensor")
         return block
 
-    def _line(self, attempt: int) -> list[schema.StoredAttempt]:
+    def _line(self, attempt: int) -> list[schema.Attempt]:
         """Return the last attempt of each run that led to the attempt with the number `attempt`, in order.
 
         The list ends with this attempt. The entry of an earlier run is the attempt after which the next run
@@ -542,7 +545,7 @@ class ArchiveView(Closing):
         """
         continues = {run["run"]: run["continues"] for run in self.runs()}
         of_number = {stored.number: stored for stored in self.attempts()}
-        line: list[schema.StoredAttempt] = []
+        line: list[schema.Attempt] = []
         while attempt:
             line.insert(0, of_number[attempt])
             attempt = continues[line[0].run]
@@ -696,10 +699,8 @@ class Archive(ArchiveView):
         int
             Number of the attempt, from 1.
         """
-        first = attempt.blocks[0][1] if attempt.blocks else None
         row = vars(attempt.position) | vars(attempt) | {"blocks": len(attempt.blocks)}
-        row |= {"registers": (), "variant": "", "gyro_range_dps": None}
-        if first is not None:
+        for _, first in attempt.blocks[:1]:
             row |= {name: getattr(first, name) for name in ("registers", "variant", "gyro_range_dps")}
         with self._transaction():
             number = self._next("attempts", "attempt")

@@ -80,8 +80,8 @@ class Move:
 
 
 @dataclass(frozen=True)
-class AttemptFacts:
-    """Facts of an attempt to record a dwell, as recorded (`Attempt`) and as read back (`StoredAttempt`).
+class Attempt:
+    """One attempt to record a dwell: to be stored with its samples, or read back without them.
 
     Attributes
     ----------
@@ -95,6 +95,28 @@ class AttemptFacts:
         Time of its beginning by the wall clock, ISO 8601, UTC.
     started_bus_s, ended_bus_s : float
         Times of its beginning and end on the bus's clock, in s.
+    blocks : sequence of (phase, Block)
+        All scans in order; scans of phase `dwell` are the samples of the dwell. Empty if read back.
+    moves : sequence of Move
+        Moves of the stage for this attempt. Empty if read back.
+    reason : str
+        Reason of an interruption; empty for a complete dwell.
+    status : int or None
+        Content of the register STATUS after the attempt; None if it was not read.
+    number : int
+        Number of the attempt, from 1, in the order of recording; 0 until it is stored, like the next ones.
+    run : int
+        Number of the run (opening of the session) to which it belongs.
+    offset_s : float
+        Seconds to add to a time on the bus's clock to get the time since the session began.
+    registers : tuple of str
+        Names of the columns of its samples; empty without samples.
+    variant : str
+        Variant of the sensor; empty without samples.
+    gyro_range_dps : int or None
+        Range of the gyros in °/s; None if it is unknown or there are no samples.
+    stored_blocks : int
+        Number of its blocks of samples in the file.
     """
 
     place: int
@@ -103,65 +125,17 @@ class AttemptFacts:
     started_utc: str
     started_bus_s: float
     ended_bus_s: float
-
-
-@dataclass(frozen=True)
-class Attempt(AttemptFacts):
-    """One attempt to record a dwell, with its samples.
-
-    Attributes
-    ----------
-    blocks : sequence of (phase, Block)
-        All scans in order; scans of phase `dwell` are the samples of the dwell.
-    moves : sequence of Move
-        Moves of the stage for this attempt.
-    reason : str
-        Reason of an interruption; empty for a complete dwell.
-    status : int or None
-        Content of the register STATUS after the attempt; None if it was not read.
-    """
-
-    blocks: Sequence[tuple[Phase, Block]]
+    blocks: Sequence[tuple[Phase, Block]] = ()
     moves: Sequence[Move] = ()
     reason: str = ""
     status: int | None = None
-
-
-@dataclass(frozen=True)
-class StoredAttempt(AttemptFacts):
-    """A row of the table `attempts`: an attempt without its samples.
-
-    Attributes
-    ----------
-    number : int
-        Number of the attempt, from 1, in the order of recording.
-    run : int
-        Number of the run (opening of the session) to which it belongs.
-    offset_s : float
-        Seconds to add to a time on the bus's clock to get the time since the session began.
-    reason : str
-        Reason of an interruption; empty for a complete dwell.
-    registers : tuple of str
-        Names of the columns of its samples; empty without samples.
-    variant : str
-        Variant of the sensor; empty without samples.
-    gyro_range_dps : int or None
-        Range of the gyros in °/s; None if it is unknown or there are no samples.
-    status : int or None
-        Content of the register STATUS after the attempt; None if it was not read.
-    blocks : int
-        Number of its blocks of samples.
-    """
-
-    number: int
-    run: int
-    offset_s: float
-    reason: str
-    registers: tuple[str, ...]
-    variant: str
-    gyro_range_dps: int | None
-    status: int | None
-    blocks: int
+    number: int = 0
+    run: int = 0
+    offset_s: float = 0.0
+    registers: tuple[str, ...] = ()
+    variant: str = ""
+    gyro_range_dps: int | None = None
+    stored_blocks: int = 0
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from adis_gonio.base.numbers import counted
 from adis_gonio.device.sensor.registers import changed_settings
 from adis_gonio.model.records import METADATA, Dwell, Session, StageCurve, Turn
 from adis_gonio.record.archive import ArchiveView
-from adis_gonio.record.archive_tables import Header, JsonDict, StoredAttempt
+from adis_gonio.record.archive_tables import Attempt, Header, JsonDict
 from adis_gonio.record.blocks import (
     GENERIC,
     WITHOUT_NEWS,
@@ -83,7 +83,7 @@ class ArchivedTurns:
 
 
 def _between(
-    view: ArchiveView, stored: Sequence[StoredAttempt], before: StoredAttempt, after: StoredAttempt
+    view: ArchiveView, stored: Sequence[Attempt], before: Attempt, after: Attempt
 ) -> Iterator[Block]:
     """Yield the scans from the end of the dwell `before` to the beginning of the dwell `after`, in order.
 
@@ -103,7 +103,7 @@ def _between(
     yield from view.blocks(after, "before")
 
 
-def _turn(number: int, blocks: list[Block], after: StoredAttempt, turned_deg: float | None) -> Turn:
+def _turn(number: int, blocks: list[Block], after: Attempt, turned_deg: float | None) -> Turn:
     blocks = [block for block in blocks if len(block)]
     if not blocks:
         return Turn(number, number + 1, np.empty(0), np.empty((0, 3)), turned_deg=turned_deg)
@@ -124,7 +124,7 @@ def recording_of(view: ArchiveView) -> tuple[Dwell | None, str]:
     If no free turn is complete, return the longest recording, and the reason why it was broken off. The
     recording is None if no sample was recorded.
     """
-    chains: list[list[StoredAttempt]] = [[]]
+    chains: list[list[Attempt]] = [[]]
     for attempt in view.attempts():
         if chains[-1] and chains[-1][-1].run != attempt.run:
             chains.append([])
@@ -278,7 +278,7 @@ def describe_later_writes(facts: JsonDict) -> tuple[str, ...]:
     return describe_writes(operations(facts["offset_writes"]), recorded)
 
 
-def _dwell(number: int, attempt: StoredAttempt, scans: Block, sign: int) -> Dwell:
+def _dwell(number: int, attempt: Attempt, scans: Block, sign: int) -> Dwell:
     return Dwell(
         number,
         scans.time_s + attempt.offset_s,
