@@ -20,7 +20,7 @@ block-tridiagonal, because only neighbouring links share a dwell.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -70,11 +70,7 @@ class Links:
 
     def only(self, links: NDArray[np.bool_] | NDArray[np.intp]) -> Links:
         """Return a copy with the selected links, in their order."""
-        index = np.arange(len(self))[links]
-        return Links(
-            self.before[index], self.after[index], self.rotation[index], self.offset_rad[index],
-            self.own_rad2[index], self.next_rad2[index], self.modes_rad[index],
-        )  # fmt: skip
+        return Links(*(getattr(self, one.name)[links] for one in fields(self)))
 
     def rows(self, kept: NDArray[np.intp]) -> Links | None:
         """Return the links between two kept readings, with new numbers of the readings; None without any.
