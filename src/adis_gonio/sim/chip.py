@@ -161,6 +161,8 @@ class SimulatedChip:
     ----------
     variant : Variant
         Row of the variants table for this chip.
+    surroundings : Surroundings
+        The surroundings that were given.
     external_levels : tuple of int, int
         External levels on DIO1 and DIO2, read if the line is an input.
     memory : Memory
@@ -199,7 +201,7 @@ class SimulatedChip:
         self.variant = variant(part)
         self.floating_word = floating_word
         self.external_levels = (0, 0)
-        self._surroundings = surroundings
+        self.surroundings = surroundings
         self._failures = tuple(self_test_failures)
         self._pulse_s = data_ready_pulse_s
         self._update_edge = update_edge
@@ -633,7 +635,7 @@ class SimulatedChip:
         """Simulate the next n internal updates and return their outputs."""
         count = np.arange(self._k + 1, self._k + n + 1, dtype=np.float64)
         times = self._epoch + count * self.update_period_s
-        updates = self._sampler.update(self._surroundings.sample(times))
+        updates = self._sampler.update(self.surroundings.sample(times))
         self._standing = int(updates.status[-1])
         kept = (self._status | int(np.bitwise_or.reduce(updates.status))) & ~self._falling
         self._status = kept | self._standing & self._falling

@@ -19,6 +19,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
+from typing import cast
 
 from adis_gonio.base import Closing
 from adis_gonio.base.errors import CannotOpenError, UsageError
@@ -130,8 +131,6 @@ class SimulatedBoard(Closing):
         Firmware on a `WorkClock`; `open_board` makes the firmware from a URL.
     faults : Faults
         Faults of the line: `drop`, `duplicate`, `flip`, `delay`, `chunk` and `hang`.
-    world : World
-        World of the chip; None if no test uses the stage or the true parameters.
 
     Attributes
     ----------
@@ -141,6 +140,8 @@ class SimulatedBoard(Closing):
         Bus URL of the board, for functions of this package such as `open_sensor`.
     chip : SimulatedChip
         The simulated chip that is connected to the board.
+    world : World
+        The simulated world of the chip, if the chip has one; `open_board` gives it one.
 
     Raises
     ------
@@ -148,18 +149,12 @@ class SimulatedBoard(Closing):
         The machine has no free pseudo-terminal.
     """
 
-    def __init__(
-        self,
-        firmware: SimulatedFirmware,
-        faults: Faults | None = None,
-        *,
-        world: World | None = None,
-    ) -> None:
+    def __init__(self, firmware: SimulatedFirmware, faults: Faults | None = None) -> None:
         if not isinstance(firmware.pins.clock, WorkClock):
             raise UsageError("a board runs in real time: give its firmware a WorkClock")
         self.firmware, self.chip = firmware, firmware.pins.chip
         self.faults = faults or Faults()
-        self._world = world
+        self.world = cast(World, self.chip.surroundings)
         self._clock = firmware.pins.clock
         try:
             self._line = _Pty()
@@ -171,13 +166,6 @@ class SimulatedBoard(Closing):
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._pump, name="simulated board", daemon=True)
         self._thread.start()
-
-    @property
-    def world(self) -> World:
-        """The simulated world of the board's chip."""
-        if self._world is None:
-            raise UsageError("this board has no simulated world; open_board makes one that has")
-        return self._world
 
     @property
     def stage(self) -> BoardStage:
@@ -287,7 +275,7 @@ def open_board(
     """
     bus = simulated_bus(url)
     firmware = SimulatedFirmware(ChipPins(bus.chip, WorkClock()), boot_s=boot_s)
-    return SimulatedBoard(firmware, _own_copy(faults), world=bus.world)
+    return SimulatedBoard(firmware, _own_copy(faults))
 
 
 class _Pty:
