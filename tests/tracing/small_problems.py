@@ -99,8 +99,6 @@ def single(
         ),
         target=np.array(target, dtype=float),
         dof=len(target),
-        hidden=(),
-        cost=np.array([getattr(term, "cost", 0.0) for term in terms]),
         column_price=np.zeros(k),
     )
 

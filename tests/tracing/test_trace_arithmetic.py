@@ -18,7 +18,6 @@ from adis_gonio.tracing.grammar import (
     knee_shape,
     legendre,
     multiple,
-    power_shape,
     ring_bump,
     step_shape,
 )
@@ -29,10 +28,6 @@ U = np.linspace(-1, 1, 41)
 
 
 class TestShapes:
-    @pytest.mark.parametrize("exponent", [1, 2, 3, 5])
-    def test_powers(self, exponent: int) -> None:
-        np.testing.assert_allclose(power_shape(exponent)(U), U**exponent, atol=1e-15)
-
     def test_a_step_is_nothing_up_to_its_place_and_one_beyond(self) -> None:
         values = np.array([-1.0, 0.2, 0.2001, 1.0])
         assert step_shape(0.2)(values).tolist() == [0.0, 0.0, 1.0, 1.0]

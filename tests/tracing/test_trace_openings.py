@@ -16,7 +16,7 @@ def left_by(target: np.ndarray, columns=(), names=(), best=()) -> SimpleNamespac
     """A selection whose candidates are single columns, and whose model leaves `target`."""
     blocks = [np.asarray(column) / np.linalg.norm(column) for column in columns]
     terms = [
-        name if isinstance(name, SimpleNamespace) else SimpleNamespace(name=name, dwell=None)
+        name if isinstance(name, SimpleNamespace) else SimpleNamespace(name=name, dwell=None, cost=0.0)
         for name in names
     ]
     problem = single(target, np.reshape(blocks, (-1, len(target))), terms)
@@ -68,7 +68,7 @@ class TestNamesThatCouldExplainIt:
         held = replace_model(left_by(target, [columns[1], columns[0]], ("quadratic", "quadratic")), (0,))
         assert undecided(held) == ()
         assert undecided(left_by(target, [columns[0]], (None,))) == ()
-        dwell = SimpleNamespace(name="outlier_dwell", dwell=3)
+        dwell = SimpleNamespace(name="outlier_dwell", dwell=3, cost=0.0)
         assert undecided(left_by(target, [columns[0]], (dwell,))) == ()
 
     def test_no_more_names_than_asked_for_and_the_most_likely_first(self) -> None:

@@ -40,11 +40,6 @@ COMMON = ("reading", "force", "rotation", "angle", "time", "temperature")
 """Covariates with full prior weight; other covariates and products are less probable."""
 
 
-def power_shape(exponent: int) -> Shape:
-    """Return the function u → u^exponent, with a whole exponent."""
-    return lambda u: np.asarray(np.prod([u] * exponent, axis=0))
-
-
 def step_shape(place: float) -> Shape:
     """Return a step function of u: 0 up to `place`, 1 beyond it."""
     return lambda u: np.where(u > place, 1.0, 0.0)
@@ -598,7 +593,7 @@ def _of_rate(data: Readings) -> Iterator[_Made]:
         "dT/dt": np.asarray,
         "|dT/dt|": np.abs,
         "sign dT/dt": np.sign,
-        "(dT/dt)²": power_shape(2),
+        "(dT/dt)²": np.square,
     }
 
     def scaled(function: Shape) -> Columns:

@@ -55,10 +55,8 @@ class LinearProblem:
         Whitened readings minus prediction, projected off the base model.
     dof : int
         Rows minus the rank of the base model.
-    hidden : tuple of Term
-        Candidates that the session cannot show, since the base model reproduces their columns.
-    cost, column_price : (M,) float
-        −ln of each term's share of the prior, and the price of its columns: both lower the log evidence.
+    column_price : (M,) float
+        Price of the columns of each term: it lowers the log evidence, as `cost` does.
     inflation : float
         Factor on the noise variance contained in the prior of the blocks.
     joint : bool
@@ -73,8 +71,6 @@ class LinearProblem:
     shared: SessionBlocks
     target: Floats
     dof: int
-    hidden: tuple[Term, ...]
-    cost: Floats
     column_price: Floats
     inflation: float = 1.0
     joint: bool = False
@@ -85,6 +81,11 @@ class LinearProblem:
         """Number of columns (M,) of each term."""
         every = [self.shared.total] if self.split is None else [self.shared.total, self.split.total]
         return np.concatenate(every)
+
+    @cached_property
+    def cost(self) -> Floats:
+        """Cost (M,) of each term, −ln of its share of the prior."""
+        return np.array([term.cost for term in self.terms])
 
     @property
     def columns(self) -> Floats:
@@ -249,7 +250,6 @@ class LinearProblem:
             self,
             terms=tuple(self.terms[k] for k in chosen),
             shared=self.shared.subset(chosen[chosen < count]),
-            cost=self.cost[chosen],
             column_price=self.column_price[chosen],
             split=None if self.split is None else self.split.subset(chosen[chosen >= count] - count),
         )
@@ -417,8 +417,6 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
         shared=blocks,
         target=target,
         dof=len(target) - base.shape[1],
-        hidden=(),
-        cost=np.zeros(0),
         column_price=prices,
         joint=bool(fit.data.model.origins),
     )
@@ -430,12 +428,7 @@ def linearise(fit: Fit, terms: Sequence[Term]) -> LinearProblem:
         elif term.prior_sd is not None:
             # A stated prior of the amplitudes: ½ ln |1 + Σ Xᵀ X|, with the columns X of the readings.
             made.column_price[k] = -0.5 * np.linalg.slogdet(made.prior_of(k))[1]
-    seen = set(map(id, made.terms))
-    return replace(
-        made,
-        hidden=tuple(term for term in terms if id(term) not in seen),
-        cost=np.array([term.cost for term in made.terms]),
-    )
+    return made
 
 
 def _sessions_share_noise(fit: Fit) -> bool:
@@ -506,7 +499,10 @@ def _blocks(
     blocks = SessionBlocks.of(len(white), place, bases, columns, spread[index], width[numbers])
     shown = np.flatnonzero(blocks.total).astype(np.intp)
     blocks = blocks.subset(shown)
-    each = _column_prices(blocks.columns).sum(axis=0)
+    # The price of a column u of length 1 is ½ ln(1 + s² n): s is the prior standard deviation in units of
+    # the noise, n = 1/Σ u⁴ the effective number of its rows.
+    fourth = ((blocks.columns**2) ** 2).sum(axis=1)
+    each = 0.5 * np.log1p(limits.prior_snr**2 * (fourth > 0) / np.maximum(fourth, 1e-300)).sum(axis=0)
     prices = np.add.reduceat(each, blocks.first) if len(shown) else np.zeros(0)
     return numbers[shown].tolist(), blocks.with_prior(), prices
 
@@ -524,16 +520,6 @@ def reduced(fit: Fit, beside: Sequence[Term] = ()) -> tuple[Floats, Floats]:
     every = [fit.base_columns, *(fit.candidate(term) for term in beside)]
     base = orthonormal(fit.white(np.concatenate(every, axis=2)))
     return base, target - base @ (base.T @ target)
-
-
-def _column_prices(columns: Floats) -> Floats:
-    """Return the price (…, P) of columns (…, rows, P), ½ ln(1 + s² n) in nats: the loss of log evidence.
-
-    s is the prior standard deviation in units of the noise; n = 1/Σ u⁴ is the effective number of rows of a
-    column u of length 1. The price of a column of zeros is zero.
-    """
-    fourth = ((columns**2) ** 2).sum(axis=-2)
-    return np.asarray(0.5 * np.log1p(limits.prior_snr**2 * (fourth > 0) / np.maximum(fourth, 1e-300)))
 
 
 def span(problem: LinearProblem, model: Sequence[int]) -> tuple[Floats, Floats]:

@@ -295,7 +295,9 @@ class TraceRun:
             lambda: None if self.closed else average(selection),
             None,
         )
-        self.fold = validation.Fold.of(selection, self.terms, self.averaged, self.max_effects)
+        # Inside a fold, the candidates are those that scored well on all dwells.
+        promising = selection.promising(self.terms)
+        self.fold = validation.Fold(promising, self.averaged, self.max_effects)
         self.fits, self.steps = validation.nest_fits(selection, self.averaged)
         unguarded: list[float | None] = [None for _ in self.fits]
         self.errors = attempt(

@@ -317,17 +317,6 @@ class Fold:
         default_factory=dict, init=False, repr=False, compare=False
     )
 
-    @classmethod
-    def of(
-        cls, selection: Selection, terms: Sequence[Term], averaged: Averaged | None, max_effects: int
-    ) -> Fold:
-        """Return settings with those of `terms` as candidates that scored well on all dwells.
-
-        `averaged` is the average over unnamed functions of the model (None without one), `max_effects` the
-        largest number of terms.
-        """
-        return cls(selection.promising(terms), averaged, max_effects)
-
     def __contains__(self, fit: Fit) -> bool:
         """Return True if residuals of this very fit were computed in the folds."""
         return any(known == id(fit) for known, _ in self._made)
