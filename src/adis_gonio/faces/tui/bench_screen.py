@@ -176,9 +176,6 @@ QUIT = {
 LARGE_SIZE = (120, 40)
 """Smallest terminal, in columns and rows, on which the digits of the angle have double size."""
 
-FLASH_TICKS = 6
-"""Number of ticks for which the line of keys is marked after a key that means nothing."""
-
 _STYLES = {
     "open": "",
     "now": "bold reverse",
@@ -272,7 +269,6 @@ class BenchApp(App[None]):
         self._ended = threading.Event()
         self._stopping = self._drawn = False
         self._news_s = time.monotonic()
-        self._flash_ticks = 0
         self._asked: events.Event | None = None
         self._open_question: Dialog | None = None
 
@@ -355,7 +351,6 @@ class BenchApp(App[None]):
             if isinstance(event, events.Started) and event.resumed:
                 remember(self.state)
         self.state.reversed = self._runner.reversed
-        self._flash_ticks = max(self._flash_ticks - 1, 0)
         self.show()
         if ended:
             self.exit()
@@ -391,7 +386,7 @@ class BenchApp(App[None]):
             "waits": Text(screen_text.waiting(state, silence_s)),
             "progress": Text(screen_text.progress(state, room), no_wrap=True),
             "messages": messages,
-            "keys": _keys(state, self.size.width, flash=self._flash_ticks > 0),
+            "keys": _keys(state, self.size.width),
         }
         for name, text in texts.items():
             base.query_one(f"#{name}", Static).update(text)
@@ -455,15 +450,6 @@ class BenchApp(App[None]):
 
     # -- keys ---------------------------------------------------------------------------------------
 
-    def on_key(self, event: ui.Key) -> None:
-        """Mark the line of keys for a moment after a key that means nothing here."""
-        if event.key not in self.active_bindings:
-            self._flash()
-
-    def _flash(self) -> None:
-        self._flash_ticks = FLASH_TICKS
-        self.show()
-
     def action_answer_position(self, answer: str) -> None:
         """Answer the runner's question about a position, or report why that is not possible.
 
@@ -501,18 +487,13 @@ class BenchApp(App[None]):
 
     def action_move(self) -> None:
         """Ask for an angle, and turn a simulated part without a stage by it."""
-        hands = self._hands
-        if hands is None:
-            self._flash()
-            return
-        dialog = LineDialog("Turn the part by … degrees", "such as -30")
-        self._open(dialog, lambda text: self._tell(hands.move(text)) if text else None)
+        if (hands := self._hands) is not None:
+            dialog = LineDialog("Turn the part by … degrees", "such as -30")
+            self._open(dialog, lambda text: self._tell(hands.move(text)) if text else None)
 
     def action_bump(self) -> None:
         """Turn a simulated sensor without a stage a little, forth and back, as by a bump."""
-        if self._hands is None:
-            self._flash()
-        else:
+        if self._hands is not None:
             self._tell(self._hands.bump())
 
     def _tell(self, text: str) -> None:
@@ -567,9 +548,9 @@ def _still_style(state: BenchState) -> str:
     return "green" if state.spread_mg <= state.limit_mg else "bold red"
 
 
-def _keys(state: BenchState, width: int, *, flash: bool) -> Text:
+def _keys(state: BenchState, width: int) -> Text:
     listed = screen_text.keys(state)
-    text = Text("no such key: " if flash else "", style="bold reverse" if flash else "", no_wrap=True)
+    text = Text(no_wrap=True)
     wide = sum(len(f"{key} {word}  ") for key, word in listed) < width
     for key, word in listed:
         text.append(key, style="bold reverse")
