@@ -4,11 +4,7 @@ The sensor adds an offset register to its output (data sheet, A), so that the re
 negative bias: new = number during the recording − bias / LSB.
 """
 
-from adis_gonio.bench.writeback.offset_plan import (
-    WritePlan,
-    plan_gyro_offsets,
-    plan_offsets,
-)
+from adis_gonio.bench.writeback.offset_plan import WritePlan, plan_offsets
 from adis_gonio.bench.writeback.offset_writer import OffsetWriter, WriteSettings
 
-__all__ = ["OffsetWriter", "WritePlan", "WriteSettings", "plan_gyro_offsets", "plan_offsets"]
+__all__ = ["OffsetWriter", "WritePlan", "WriteSettings", "plan_offsets"]
