@@ -128,7 +128,6 @@ SLOW = frozenset(
         "handover/test_paper_equations.py",
         "handover/test_paper_page.py",
         "handover/test_report_page.py",
-        "handover/test_twin_of_gyros.py",
         "live/test_angle_smoother.py",
         "live/test_disturbance.py",
         "live/test_linear_model.py",

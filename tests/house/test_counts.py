@@ -10,6 +10,7 @@ RAW = re.compile(r"\{[^{}:]+\} (?:dwells|positions|samples|poses)\b")
 ALWAYS_MANY = {
     "tracing/validation.py",  # nine dwells or more
     "tracing/within/courses.py",  # a mean of several
+    "tracing/within/faults.py",  # limits of the program
     "tracing/within/samples.py",  # asks for more than one itself
     "tracing/within/second_pass.py",  # limits of the program
     "device/sensor/driver.py",
