@@ -467,16 +467,6 @@ class Rests:
     step: Floats
     notes: tuple[str, ...]
 
-    @property
-    def axes(self) -> int:
-        """Number of axes of each sample."""
-        return int(self.records[0].shape[1])
-
-    @property
-    def longest_s(self) -> float:
-        """Duration of the longest record in s."""
-        return self.period_s * max(len(record) for record in self.records)
-
 
 def rests_of(session: Session, part: Part) -> Rests:
     """Return the gap-free records of a session at rest: its dwells, or the still parts of a recording.
@@ -654,8 +644,9 @@ def fit_allan(session: Session, part: Part = "gyro", *, filter_m: int | None = N
     m = stated or 0
     share = current().share
     found = []
-    for axis in range(rests.axes):
-        share(axis / rests.axes)
+    axes = rests.records[0].shape[1]
+    for axis in range(axes):
+        share(axis / axes)
         found.append(_axis(rests, axis, m))
     return AllanResult(
         part=part,
@@ -765,7 +756,7 @@ def _axis(rests: Rests, axis: int, m: int) -> AxisNoise:
         ramp=ramp,
         slow_p_value=slow,
         adequacy=fitted.adequacy,
-        band_hz=(1 / (2 * rests.longest_s), fitted.band / period_s),
+        band_hz=(1 / (2 * period_s * max(map(len, columns))), fitted.band / period_s),
         lines=tuple(sorted(strongest, key=lambda one: one.frequency_hz)),
         step=step,
         curve=curve([columns[k] for k in quiet], _drawn(fitted, profiles), m, period_s, rounding),
