@@ -21,12 +21,7 @@ from adis_gonio.bench.events import (
     StageMoved,
     Watching,
 )
-from adis_gonio.bench.guards import (
-    Guard,
-    drift_guard,
-    judge_dwell,
-    judge_shift,
-)
+from adis_gonio.bench.guards import Guard, drift_guard, judge_dwell, judge_shift
 from adis_gonio.bench.recorder import BROKEN_STREAM, Recorder, why_broken_off
 from adis_gonio.bench.session_state import vector
 from adis_gonio.device.sensor.settings import ScanBlock, Status

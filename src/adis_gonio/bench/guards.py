@@ -20,14 +20,7 @@ from adis_gonio.base.uncertainty import NORMAL_95
 from adis_gonio.bench.events import GuardKind, TurnMeasured, Vector
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.record.blocks import Block, session_columns, session_series
-from adis_gonio.record.plans import (
-    GAIN_LIMIT,
-    Expectation,
-    K,
-    Position,
-    PriorKnowledge,
-    turned_deg,
-)
+from adis_gonio.record.plans import GAIN_LIMIT, Expectation, K, Position, PriorKnowledge, turned_deg
 from adis_gonio.record.stillness import SHIFT_MG
 
 if TYPE_CHECKING:

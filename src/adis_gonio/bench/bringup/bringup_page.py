@@ -4,14 +4,7 @@ from __future__ import annotations
 
 from adis_gonio.base.numbers import format_fixed, format_number, with_unit
 from adis_gonio.base.uncertainty import Value
-from adis_gonio.bench.bringup.bringup_step import (
-    QUESTIONS,
-    Bringup,
-    Measured,
-    Outcome,
-    StepResult,
-    Verdict,
-)
+from adis_gonio.bench.bringup.bringup_step import QUESTIONS, Bringup, Measured, Outcome, StepResult, Verdict
 from adis_gonio.page.document import Section, Table, render
 
 

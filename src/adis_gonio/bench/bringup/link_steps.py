@@ -8,13 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.bench.bringup.bringup_step import (
-    BOARD_CLOCK_U,
-    BringupBench,
-    BringupStep,
-    StepResult,
-    Z,
-)
+from adis_gonio.bench.bringup.bringup_step import BOARD_CLOCK_U, BringupBench, BringupStep, StepResult, Z
 from adis_gonio.device.bus import SpiTiming, Words
 from adis_gonio.device.sensor.driver import PLAUSIBLE
 from adis_gonio.device.sensor.registers import (

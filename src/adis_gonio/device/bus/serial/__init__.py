@@ -18,13 +18,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from adis_gonio.base.errors import (
-    BusError,
-    BusTimeoutError,
-    NotInstalledError,
-    UsageError,
-    install_extra,
-)
+from adis_gonio.base.errors import BusError, BusTimeoutError, NotInstalledError, UsageError, install_extra
 from adis_gonio.device.bus import host
 from adis_gonio.device.bus.opening import BusUrl, Device
 from adis_gonio.device.bus.serial.bus import BOOT_S, Port, SerialBus, SerialLink
