@@ -83,11 +83,6 @@ class TableRow:
         return f"{self.printed}, {self.axis.upper()}"
 
     @property
-    def label(self) -> str:
-        """Name with the unit, such as `N, X / °`."""
-        return label_quantity(self.name, self.unit)
-
-    @property
     def quantity(self) -> str:
         """Name of the row's quantity in `true_values`; the rows of X and Y share the angle between them."""
         return self.key if self.key == "non_orthogonality" else f"{self.key}_{self.axis}"
@@ -455,7 +450,7 @@ def _table(done: Study) -> Section:
         head += [f"{title}, printed", "ours", "u"]
     rows = []
     for row in TABLE:
-        texts = [row.label, format_fixed(row.measured, 4)]
+        texts = [label_quantity(row.name, row.unit), format_fixed(row.measured, 4)]
         for method in COLUMNS:
             one = done.spread(row.axis, method, row.quantity)
             spread = f"{NO_BREAK}({format_fixed(one.spread or 0.0, 4)})"

@@ -143,18 +143,14 @@ class ExportSource:
     def _calibration(self) -> tuple[Calibration, list[str]]:
         """Return the calibration in the file or the calibration of its session, and remarks."""
         given = calibration_in(self.path)
-        if given is None:
-            session = load_session(self.path, self.overrides)
-            return self._fitted(session), list(describe_later_writes(session.facts))
-        if self.method is not None or self.traced:
-            raise UsageError(
-                f"{self.path}: is a calibration already: --method and --trace go with a session"
-            )
-        return self._with_gyros(given), []
-
-    def _fitted(self, session: Session) -> Calibration:
-        changed = changed_registers(session)
-        if changed:
+        if given is not None:
+            if self.method is not None or self.traced:
+                raise UsageError(
+                    f"{self.path}: is a calibration already: --method and --trace go with a session"
+                )
+            return self._with_gyros(given), []
+        session = load_session(self.path, self.overrides)
+        if changed := changed_registers(session):
             raise FitError(
                 f"{self.path}: {'; '.join(changed)}: no calibration is valid for both "
                 "states of the registers; record the session again, or export its data (csv, parquet, json)"
@@ -163,7 +159,7 @@ class ExportSource:
             own = self._result(session).calibration()
         except FitError as error:
             raise FitError(f"{error}{gyros_alone(session)}") from None
-        return self._with_gyros(own, session)
+        return self._with_gyros(own, session), list(describe_later_writes(session.facts))
 
     def _with_gyros(self, calibration: Calibration, session: Session | None = None) -> Calibration:
         if self.gyros is not None:
