@@ -153,8 +153,8 @@ def test_what_somebody_else_has_set_meanwhile_is_left():
 @pytest.mark.parametrize(("options", "exact"), [("", False), ("?event_counter=1", True)])
 def test_the_event_counter_counts_by_the_chips_own_clock(monkeypatch, options, exact):
     """The chip samples 4 % faster than its data sheet says, which time alone does not tell."""
-    nominal = chip_module.update_period_s
-    monkeypatch.setattr(chip_module, "update_period_s", lambda word: nominal(word) / 1.04)
+    nominal = chip_module.chip_memory.update_period_s
+    monkeypatch.setattr(chip_module.chip_memory, "update_period_s", lambda word: nominal(word) / 1.04)
     bus, chip = open_bridge("mcp2210", options)
     with Adis16354(bus) as sensor, sensor.stream(["XACCL_OUT", "ZACCL_OUT"], block_scans=32) as stream:
         first = next(stream)

@@ -101,8 +101,8 @@ def test_edges_at_another_rate_than_the_samples_are_refused_and_the_register_is_
 def test_a_chip_whose_clock_is_some_percent_off_is_believed(monkeypatch, off):
     from adis_gonio.sim import chip
 
-    nominal = chip.update_period_s
-    monkeypatch.setattr(chip, "update_period_s", lambda word: nominal(word) * (1 + off))
+    nominal = chip.chip_memory.update_period_s
+    monkeypatch.setattr(chip.chip_memory, "update_period_s", lambda word: nominal(word) * (1 + off))
     board = Board(monkeypatch)
     with Adis16354(board.bus) as sensor, sensor.stream() as stream:
         assert isinstance(stream, StreamedScans)
