@@ -184,13 +184,13 @@ def test_u_expanded_holds_the_truth_in_95_of_100_sessions(kind):
 @pytest.mark.parametrize("method", ["two-position", "four-position", "mmpm"])
 def test_monte_carlo_agrees_with_the_linear_uncertainty(method):
     angles = {"two-position": (0, 90), "four-position": FOUR, "mmpm": NINE}[method]
-    run = monte_carlo(fit(turn(angles), method), 2000, np.random.default_rng(3))
+    run = monte_carlo(fit(turn(angles), method), 4000, np.random.default_rng(3))
     for p in run.parameters:
         assert p.u == pytest.approx(p.linear.u, rel=0.01 + 3 * p.doubt), p.name
         assert (p.high - p.low) / 2 == pytest.approx(p.linear.U, rel=0.07), p.name
         # The standard deviation of n normal values is known to 1/√(2 n) of itself.
         stated = p.as_dict()["u_standard_error"]
-        assert stated == pytest.approx(p.u / math.sqrt(2 * 2000), rel=0.15), p.name
+        assert stated == pytest.approx(p.u / math.sqrt(2 * 4000), rel=0.15), p.name
     assert run.failed == 0
 
 
