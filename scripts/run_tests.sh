@@ -26,6 +26,7 @@ export OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"
 free_kb="$(df -Pk /dev/shm 2>/dev/null | awk 'NR == 2 { print $4 }')"
 if [ -z "${TMPDIR:-}" ] && [ "${free_kb:-0}" -gt 4000000 ] && ! grep -q ' /dev/shm .*noexec' /proc/mounts; then
   TMPDIR="$(mktemp -d /dev/shm/adis-gonio-XXXXXX)"
+  chmod 755 "$TMPDIR"  # tests of rights read their files as another user
   export TMPDIR
   in_memory="$TMPDIR"
 fi

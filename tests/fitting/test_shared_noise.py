@@ -30,8 +30,10 @@ def modes_of(*parts: Dwell) -> Readings:
     flicker = np.full(2, FLICKER_MG**2)
     many = np.array([k for k, part in enumerate(parts) if len(part) > 1])
     own, shared = flicker_parts(*spans([parts[k].time_s for k in many]), flicker)
-    slow = np.zeros((len(parts), *shared.shape[1:]))
-    slow[many] = shared
+    slow = None
+    if shared is not None:
+        slow = np.zeros((len(parts), *shared.shape[1:]))
+        slow[many] = shared
     covariance = np.tile(U_MG**2 * np.eye(2), (len(parts), 1, 1))
     covariance[many] += own[:, :, None] * np.eye(2)
     mean = np.zeros((len(parts), 2))

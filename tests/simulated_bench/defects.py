@@ -232,8 +232,8 @@ def _rows_only(self: archive.Archive, attempt: Any) -> int:
 _ADD = archive.Archive.add_attempt
 
 
-def _forgetful_recording(self: Any, recording: Any, rested_mg: Any) -> Any:
-    broken = yield from self._record(recording, rested_mg)
+def _forgetful_recording(self: Any, recording: Any) -> Any:
+    broken = yield from self._scan(recording)
     if broken is None:
         self._check_sensor(recording)
     return broken
@@ -367,7 +367,7 @@ DEFECTS: dict[str, Defect] = {
     ),
     "interruption lost": Defect(
         "the scans of a dwell that a bus error ends are not kept",
-        dwell_recorder.DwellRecorder, "_record_or_keep", _forgetful_recording,
+        dwell_recorder.DwellRecorder, "_record", _forgetful_recording,
         place=(dwell_recorder.DwellRecorder, "_interrupted"),
         needs=_fails,
     ),
@@ -439,9 +439,9 @@ DEFECTS: dict[str, Defect] = {
     ),
     "forged values": Defect(
         "a value with a fitting checksum is taken without a check of its type and range",
-        archive, "checked_row", _values_unchecked,
+        archive_tables, "checked_row", _values_unchecked,
         (
-            (archive, "checked_value", lambda name, shape, value: value),
+            (archive_tables, "checked_value", lambda name, shape, value: value),
             (archive.ArchiveView, "_refuse_strangers", lambda self, stored: None),
         ),
         differs=_objects,

@@ -15,7 +15,6 @@ import pytest
 from adis_gonio import load_session, trace
 from adis_gonio.faces.cli.trace_commands import print_trace
 from adis_gonio.fitting.estimation.readings import readings_of
-from adis_gonio.handover.calibration_report import build_page
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing.within.samples import WithinFinding, samples_of
 from adis_gonio.tracing.within.second_pass import look_within
@@ -164,7 +163,6 @@ def test_trace_counts_what_is_beyond_doubt_and_only_remarks_the_rest(humming, ca
     text = " ".join(capsys.readouterr().out.split())
     assert "Inside the dwells: tone (x, y)." in text
     assert "A spectral line at" in text
-    assert "Spectrum of x inside the dwells" in build_page(humming, [], result)
     # The same samples, cut out of a continuous recording: nobody declared that the part was at rest.
     cut = trace(replace(humming, cut_by_stillness=True))
     assert [finding.kind for finding in cut.within] == ["tone"]

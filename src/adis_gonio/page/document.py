@@ -150,6 +150,8 @@ _MOST_MARKERS = 400
 _MOST_POINTS = 2000
 _CHARACTER = 6.9
 """Mean width of a character of a label, in points of the drawing."""
+_DIGIT = 8.0
+"""Width of the widest digit or sign of a tick, in points of the drawing."""
 _SETTINGS: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "adis-gonio",
@@ -384,7 +386,7 @@ def _fit_margins(figure: Drawing, axes: Axes, rows: int) -> None:
     )
     width, height = 72 * figure.get_size_inches()
     half = _CHARACTER * x / 2  # of the longest label of x, in case it is the first or the last
-    left, below, above = max(30 + _CHARACTER * y, half), 40, 8 + 17 * rows
+    left, below, above = max(32 + _DIGIT * y, half), 40, 8 + 17 * rows
     figure.subplots_adjust(left / width, below / height, 1 - (4 + half) / width, 1 - above / height)
 
 
