@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from importlib import resources
 
@@ -47,6 +49,30 @@ def calibration(request):
 def test_the_schema_is_one_and_every_file_obeys_it(calibration):
     jsonschema.Draft202012Validator.check_schema(SCHEMA)
     jsonschema.Draft202012Validator(SCHEMA).validate(calibration.as_dict())
+
+
+def test_a_file_is_loaded_and_a_session_refused_without_the_trace(tmp_path):
+    ALL[0].save(tmp_path / "c.json")
+    (tmp_path / "s.csv").write_text("time_s,ax_mg,ay_mg\n0,1,2\n", "utf-8")
+    script = (
+        "import sys\nfrom adis_gonio.calibrate import Calibration\n"
+        "from adis_gonio.base.errors import DataError\n"
+        "print(Calibration.load('c.json').names)\n"
+        "try: Calibration.load('s.csv')\n"
+        "except DataError as error: print(error)\n"
+        "assert 'adis_gonio.tracing.trace_calibrations' not in sys.modules\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        text=True,
+        timeout=300,
+        check=True,
+    )
+    names, refusal = done.stdout.splitlines()
+    assert names == str(ALL[0].names)
+    assert refusal.startswith("s.csv: ")
 
 
 def test_save_and_load_is_bit_exact(calibration, tmp_path):

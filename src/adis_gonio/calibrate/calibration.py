@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from adis_gonio.base.arrays import Floats, central_differences, wrap_radians
 from adis_gonio.base.conformity import ErrorCurve
-from adis_gonio.base.errors import FitError, UsageError
+from adis_gonio.base.errors import DataError, FitError, UsageError
 from adis_gonio.base.jsonable import HIDDEN, OPTIONAL, JsonRecord, json_object, json_text
 from adis_gonio.base.numbers import counted, join_words
 from adis_gonio.base.output import check_output, write_text
@@ -109,9 +109,9 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
     covariance: Floats | None = None
     not_corrected: tuple[NotCorrected, ...] = ()
     assumed: tuple[str, ...] = ()
-    of_session: ClassVar[Callable[[str | Path], Any]]
+    of_session: ClassVar[Callable[[str | Path], Any] | None] = None
     """Function that loads a calibration file or fits a session; set by
-    `adis_gonio.tracing.trace_calibrations`, which every use of `adis_gonio.Calibration` imports."""
+    `adis_gonio.tracing.trace_calibrations`. None before that: `load` then reads only calibration files."""
 
     def __getitem__(self, name: str) -> Coefficient:
         """Return the parameter of this name; `KeyError` if there is none."""
@@ -156,8 +156,16 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
             The file has no calibration of these sensors (accelerometers or gyros), or the session does not
             determine it.
         """
-        made: Self = cls.of_session(path)
-        return made
+        if cls.of_session is not None:
+            made: Self = cls.of_session(path)
+            return made
+        from adis_gonio.calibrate.calibration_document import calibration_in
+
+        found = calibration_in(path)
+        for one in (found, None if found is None else found.gyro):
+            if isinstance(one, cls):
+                return one
+        raise DataError(f"{path}: is not this kind of calibration; fit a session by adis_gonio.fit")
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
         """Write the calibration as JSON (`schema/calibration-1.json`); `load` gives equal numbers.
