@@ -35,6 +35,7 @@ import errno
 import struct
 from collections.abc import Callable, Sequence
 from enum import IntEnum
+from functools import partial
 from typing import Any
 
 from adis_gonio.base.errors import (
@@ -398,7 +399,7 @@ def open_from_url(url: BusUrl, *, backend: Any = None, clock: host.Clock = host.
             claim()
             endpoints = _endpoints(usb, url.text, device)
         except usb.core.USBError as error:
-            gone = host.gone_error(url.text)
+            gone = partial(host.gone_error, url.text)
             raise host.opening_error(error, url.text, _node(device), "usb 87a0", gone) from error
         bus = Cp2130Bus(device, usb.core.USBError, claim, endpoints, url.text, usual, clock)
         return bus.take_over(stack)

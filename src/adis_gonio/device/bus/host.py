@@ -327,14 +327,16 @@ def missing_error(url: str, what: str, others: Sequence[Device] = ()) -> CannotO
     return CannotOpenError(f"{url}: no {what} is connected; {there}")
 
 
-def opening_error(error: OSError, url: str, what: str, rule: str, missing: BusError) -> BusError:
+def opening_error(
+    error: OSError, url: str, what: str, rule: str, missing: Callable[[], BusError]
+) -> BusError:
     """Make the error for a device that the system does not open.
 
     `what` is the device file, `rule` has words that identify its udev rule (see `udev_rule`), and `missing`
-    is the error if there is no such device.
+    makes the error if there is no such device; it may list the devices that are there.
     """
     if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
-        return missing
+        return missing()
     if error.errno in (errno.EACCES, errno.EPERM):
         return permission_error(url, what, rule)
     if error.errno in (errno.EBUSY, errno.EAGAIN):

@@ -478,7 +478,8 @@ def _request_line(system: Kernel, url: str, path: str, offset: int, folder: str)
 
 
 def _cannot_open(error: OSError, url: str, path: str, rule: str, folder: str) -> BusError:
-    missing = host.missing_error(
-        url, f"{path} (on a Raspberry Pi: dtparam=spi=on)", find_devices(folder=folder)
-    )
+    def missing() -> BusError:
+        what = f"{path} (on a Raspberry Pi: dtparam=spi=on)"
+        return host.missing_error(url, what, find_devices(folder=folder))
+
     return host.opening_error(error, url, path, rule, missing)

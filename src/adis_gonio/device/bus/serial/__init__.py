@@ -168,9 +168,11 @@ def devices(ports: Sequence[Any]) -> list[Device]:
 
 
 def _cannot_open(error: OSError, place: str, url: str) -> BusError:
-    missing = host.missing_error(url, f"port {place}", devices(list_boards()))
+    def missing() -> BusError:
+        return host.missing_error(url, f"port {place}", devices(list_boards()))
+
     if "FileNotFoundError" in str(error):
-        return missing
+        return missing()
     # Windows reports a port in use as "access denied", which pyserial gives as text only.
     if any(word in str(error) for word in ("exclusively lock", "PermissionError")):
         return host.busy_error(url, place)
