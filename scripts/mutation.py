@@ -6,18 +6,19 @@
 
 Each mutant is one small change of one line (cosmic-ray's operators: another operator, comparison or
 number, a condition turned round, a loop that does not run, …). It is killed if a test of its room fails or
-exceeds the time-out, and has survived if all pass. Only tests that run the line are asked (all of them
-where it runs at import), the cheapest first. Everything happens in a copy in a temporary folder.
+exceeds the time-out, and has survived if all pass. Only tests that reach its statement are asked (all of
+them if it runs at import), the cheapest first. Everything happens in a copy in a temporary folder.
 
 Tests are collected once. For each mutant a forked process gives the function the code that it would have
 and runs them, so that neither imports nor collection are paid again; what runs at import is imported by
-another interpreter. A line of a function that no test of the room runs has survived at once.
+another interpreter. A mutant in a statement that no test of the room reaches has survived at once.
 
 The draw takes as many different lines as there are, uniformly, before any line comes twice, and on a
 line a place and one of the place's mutants. Not drawn, since no behaviour hangs on them: annotations,
 type aliases, `__all__`, texts of errors, warnings and log, flags that guard only against the programmer
-(`strict` of zip, `frozen` and `slots` of a dataclass), decorators that only cache, generated files (a test
-compares them with their source), and mutants that do not compile. Docstrings have no mutants.
+(`strict` of zip, `frozen` and `slots` of a dataclass), decorators that only cache or inform a type
+checker, generated files (a test compares them with their source), and mutants that do not compile.
+Docstrings have no mutants.
 
 Printed: every survivor with file, line and difference; then per room mutants, killed, timed out, survived,
 score (share that did not survive) and its 95 % interval (Wilson). A survivor is either *equivalent* (no
@@ -31,6 +32,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import builtins
 import contextlib
 import difflib
 import gc
@@ -46,15 +48,14 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 import traceback
 import uuid
 from collections import defaultdict
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from types import CodeType, FrameType, FunctionType
+from types import CodeType, FunctionType
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -109,7 +110,6 @@ ROOMS = rooms()
 NOT_EXCHANGED = 98  # exit status of a child
 
 Place = tuple[int, int]  # line from 1, column from 0, in characters
-Line = tuple[str, int]
 
 
 def spared(code: str) -> list[tuple[Place, Place]]:
@@ -152,7 +152,9 @@ def _without_behaviour(node: ast.AST) -> Iterator[ast.expr | ast.stmt]:
     if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
         if node.returns is not None:
             yield node.returns
-        yield from (d for d in node.decorator_list if _name(d) in {"cache", "lru_cache"})
+        yield from (
+            d for d in node.decorator_list if _name(d) in {"cache", "lru_cache", "dataclass_transform"}
+        )
 
 
 def _name(node: ast.expr) -> str:
@@ -264,19 +266,18 @@ def copy_of(root: Path, into: Path) -> Path:
 
 
 class Watch:
-    """Plugin of pytest that notes what each test costs and which lines of some files it runs.
+    """Plugin of pytest that notes what each test costs and which mutants it reaches.
 
     A test that costs more than `longest_s` is skipped from there: it will not be asked.
     """
 
-    def __init__(self, names: dict[str, str], longest_s: float = math.inf) -> None:
-        self.names = names  # of the files as the mutants have them, by their paths
+    def __init__(self, longest_s: float = math.inf) -> None:
         self.longest_s = longest_s
         self.cost_s: dict[str, float] = defaultdict(float)
-        self.lines: dict[str, set[Line]] = defaultdict(set)
+        self.reached: dict[str, set[str]] = defaultdict(set)
+        self.imported: set[str] = set()  # mutants that are reached at import
         self.failed: list[str] = []
-        self._now: set[Line] = set()
-        self._unseen: dict[int, set[int]] = {}  # by id of a function's code
+        self._now: set[str] = set()
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_setup(self, item: pytest.Item) -> Generator[None, None, None]:
@@ -289,14 +290,11 @@ class Watch:
         return (yield from self._watch(item, item.nodeid))
 
     def _watch(self, item: pytest.Item, of: str) -> Generator[None, None, None]:
-        self._now = self.lines[of]
-        self._unseen = {}
+        self._now = self.reached[of]
         began = time.process_time()
         if self.longest_s < math.inf:
             signal.signal(signal.SIGPROF, lambda *_: self._stop(item))
             signal.setitimer(signal.ITIMER_PROF, self.longest_s)
-        threading.settrace(self._enter)
-        sys.settrace(self._enter)
         try:
             return (yield)
         except Exception:  # whatever a library makes of being stopped
@@ -305,8 +303,6 @@ class Watch:
             self._stop(item)
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0)
-            sys.settrace(None)
-            threading.settrace(None)  # type: ignore[arg-type]
             self.cost_s[item.nodeid] += time.process_time() - began
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
@@ -316,26 +312,53 @@ class Watch:
             self.cost_s[report.nodeid] = math.inf
 
     def _stop(self, item: pytest.Item) -> None:
-        self.cost_s[item.nodeid] = math.inf  # of its lines only some were seen
+        self.cost_s[item.nodeid] = math.inf  # it may reach more mutants than were seen
         pytest.skip("costs too much")
 
-    def _enter(self, frame: FrameType, event: str, argument: object) -> Any:
-        if frame.f_code.co_filename not in self.names or not self._missing(frame.f_code):
-            return None
-        return self._line
+    def reach(self, job: str) -> None:
+        """Note that the test that runs has come to the statement of a mutant."""
+        self._now.add(job)
 
-    def _line(self, frame: FrameType, event: str, argument: object) -> Any:
-        if event == "line":
-            self._missing(frame.f_code).discard(frame.f_lineno)
-            self._now.add((self.names[frame.f_code.co_filename], frame.f_lineno))
-        return self._line
 
-    def _missing(self, code: CodeType) -> set[int]:
-        """Lines of a function that the test has not run: one that it has run wholly need not be watched."""
-        if id(code) not in self._unseen:
-            lines = {line for _, _, line in code.co_lines() if line}
-            self._unseen[id(code)] = lines - {code.co_firstlineno}  # its head is no line event
-        return self._unseen[id(code)]
+def with_probes(code: str, lines: Mapping[str, int]) -> ast.Module:
+    """Return a module that calls `__probe__` with the name of a mutant before the statement of its line."""
+    tree = ast.parse(code)
+    for job, line in lines.items():
+        for node in ast.walk(tree):  # the innermost statement comes last
+            for name in ("body", "orelse", "finalbody"):
+                block = getattr(node, name, None)
+                for statement in block if isinstance(block, list) else []:
+                    if statement.lineno <= line <= statement.end_lineno:
+                        around, before = block, statement
+        probe = ast.parse(f"__probe__({job!r})").body[0]
+        for part in ast.walk(probe):
+            ast.copy_location(part, before)
+        around.insert(around.index(before), probe)
+    return tree
+
+
+_IMPORTER = """import builtins, contextlib, importlib, sys
+reached = set()
+builtins.__probe__ = reached.add
+for name in sys.argv[1:]:
+    with contextlib.suppress(ImportError):
+        importlib.import_module(name)
+print(*reached)
+"""
+
+
+def reached_at_import(copy: Path, probed: Mapping[Path, ast.Module]) -> set[str]:
+    """Return the mutants whose statements run when their modules are imported, by another interpreter."""
+    modules = [".".join(path.relative_to(copy / "src").with_suffix("").parts) for path in probed]
+    before = {path: path.read_text("utf-8") for path in probed}
+    try:
+        for path, tree in probed.items():
+            path.write_text(ast.unparse(tree), "utf-8")
+        command = [sys.executable, "-B", "-c", _IMPORTER, *modules]
+        return set(subprocess.run(command, capture_output=True, text=True, check=True).stdout.split())
+    finally:
+        for path, code in before.items():
+            path.write_text(code, "utf-8")
 
 
 def _file_of(test: str) -> str:
@@ -363,31 +386,19 @@ def fails(session: pytest.Session, items: list[pytest.Item]) -> int:
     return 0
 
 
-def chosen(watch: Watch, lines: set[Line], imported: bool, longest_s: float) -> list[str]:
-    """Tests that run one of some lines, the cheapest first; for what runs at import all."""
-    ran = watch.lines
+def chosen(watch: Watch, job: str, imported: bool, longest_s: float) -> list[str]:
+    """Tests that reach a mutant, the cheapest first; all if it runs at import."""
+    reached = watch.reached
     return sorted(
         (
             test
             for test, cost_s in watch.cost_s.items()
             if math.isfinite(cost_s)
             and cost_s <= longest_s
-            and (imported or lines & ran.get(test, set()) or lines & ran.get(_file_of(test), set()))
+            and (imported or job in reached.get(test, set()) | reached.get(_file_of(test), set()))
         ),
         key=lambda test: watch.cost_s[test],
     )
-
-
-def statement_at(tree: ast.Module, first: int, last: int) -> tuple[int, int]:
-    """Lines of the statement, or of the head of one with a body, that some lines belong to."""
-    spans = []
-    for node in ast.walk(tree):
-        if isinstance(node, ast.stmt):
-            body = getattr(node, "body", None)
-            end = max(node.lineno, body[0].lineno - 1) if body else node.end_lineno or last
-            if node.lineno <= first and last <= end:
-                spans.append((node.lineno, end))
-    return max(spans, default=(first, last))
 
 
 def at_import(tree: ast.Module, line: int) -> bool:
@@ -460,22 +471,39 @@ def collected(room: Room, work: Callable[[pytest.Session], None]) -> None:
         raise SystemExit(f"the tests of this room cannot be collected: {status!r}")
 
 
+def lines_of_functions(copy: Path, items: Sequence[WorkItem]) -> dict[Path, dict[str, int]]:
+    """Lines of the mutants in bodies of functions, by file and mutant."""
+    lines: dict[Path, dict[str, int]] = defaultdict(dict)
+    for item in items:
+        (mutant,) = item.mutations
+        path = copy / mutant.module_path
+        if not at_import(ast.parse(path.read_text("utf-8")), mutant.start_pos[0]):
+            lines[path][item.job_id] = mutant.start_pos[0]
+    return lines
+
+
 def watched(
-    session: pytest.Session, copy: Path, room: Room, notes: Path, options: argparse.Namespace
+    session: pytest.Session, copy: Path, items: Sequence[WorkItem], notes: Path, options: argparse.Namespace
 ) -> Watch:
-    """What the tests of a room cost and run on the code as it is. Once a session."""
-    paths = (copy / SOURCE / file for file in room.files)
-    watch = Watch({str(path): str(path.relative_to(copy)) for path in paths}, options.longest)
+    """What the tests of a room cost and which mutants they reach, on the code as it is. Once a session."""
+    watch = Watch(options.longest)
     files = list(dict.fromkeys(_file_of(item.nodeid) for item in session.items))
+    lines = lines_of_functions(copy, items)
+    probed = {path: with_probes(path.read_text("utf-8"), jobs) for path, jobs in lines.items()}
 
     def work(share: int) -> int:
         session.config.pluginmanager.register(watch)
+        vars(builtins)["__probe__"] = watch.reach
+        for path, tree in probed.items():
+            for job in lines[path].keys() - watch.imported:
+                with contextlib.suppress(RuntimeError, ValueError):
+                    exchange(path, tree, lines[path][job])
         mine = [
             item for item in session.items if files.index(_file_of(item.nodeid)) % options.jobs == share
         ]
         for item, after in itertools.zip_longest(mine, mine[1:]):
             item.ihook.pytest_runtest_protocol(item=item, nextitem=after)
-        part(share).write_bytes(pickle.dumps((dict(watch.cost_s), dict(watch.lines))))
+        part(share).write_bytes(pickle.dumps((dict(watch.cost_s), dict(watch.reached))))
         print("".join(f"not asked, since it fails without any mutant: {name}\n" for name in watch.failed))
         return 0
 
@@ -483,6 +511,7 @@ def watched(
         return copy.parent / f"notes{share}"
 
     if not notes.exists():
+        watch.imported = reached_at_import(copy, probed)
         children = [
             Child(lambda share=share: work(share), 3600, copy.parent / f"output{share}.txt")
             for share in range(options.jobs)
@@ -490,32 +519,32 @@ def watched(
         for child in children:
             if child.status() != 0:
                 raise SystemExit(f"the tests cannot be run:\n{child.text()[-3000:]}")
-        costs, lines = {}, {}
+        costs, reached = {}, {}
         for share in range(options.jobs):
-            more_costs, more_lines = pickle.loads(part(share).read_bytes())
+            more_costs, more = pickle.loads(part(share).read_bytes())
             costs.update(more_costs)
-            lines.update(more_lines)
-        notes.write_bytes(pickle.dumps((costs, lines)))
-    costs, lines = pickle.loads(notes.read_bytes())
+            reached.update(more)
+        notes.write_bytes(pickle.dumps((costs, reached, watch.imported)))
+    costs, reached, watch.imported = pickle.loads(notes.read_bytes())
     watch.cost_s.update(costs)
-    watch.lines.update(lines)
+    watch.reached.update(reached)
     return watch
 
 
-def code_of(tree: ast.Module, code: str, file: str, line: int) -> tuple[int, CodeType]:
-    """First line and code, of some source, of the outermost function that a line belongs to."""
+def code_of(tree: ast.Module, file: str, line: int) -> CodeType:
+    """Code, in some module, of the outermost function that a line belongs to."""
     outermost = next(
         node
         for node in _outermost(tree)
         if node.body[0].lineno <= line <= (node.end_lineno or line)
     )  # fmt: skip
-    waiting = [compile(code, file, "exec")]
+    first = min([outermost.lineno, *(d.lineno for d in outermost.decorator_list)])
+    waiting = [compile(tree, file, "exec")]
     while True:
         for constant in waiting.pop().co_consts:
             if isinstance(constant, CodeType):
-                first = min([outermost.lineno, *(d.lineno for d in outermost.decorator_list)])
                 if constant.co_name == outermost.name and constant.co_firstlineno == first:
-                    return first, constant
+                    return constant
                 waiting.append(constant)
 
 
@@ -528,9 +557,10 @@ def _outermost(tree: ast.AST) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef
             yield from _outermost(node)
 
 
-def exchange(path: Path, before: str, after: str, line: int) -> None:
-    """Give a function that has been imported the code that it has after a change of a line of its body."""
-    _, code = code_of(ast.parse(after), after, str(path), line)
+def exchange(path: Path, changed: ast.Module, line: int) -> None:
+    """Give a function that has been imported the code that it has in a changed module."""
+    code = code_of(changed, str(path), line)
+    gc.unfreeze()  # the tests' conftest hides what was imported from the collector
     now = [
         function
         for function in gc.get_objects()
@@ -554,22 +584,20 @@ class Trial:
     """
 
     def __init__(
-        self, session: pytest.Session, copy: Path, watch: Watch, longest_s: float, mutant: MutationSpec
+        self, session: pytest.Session, copy: Path, watch: Watch, longest_s: float, item: WorkItem
     ) -> None:
         from cosmic_ray.mutating import mutate_code
         from cosmic_ray.plugins import get_operator
 
+        (mutant,) = item.mutations
         self.path = copy / mutant.module_path
         self.line = mutant.start_pos[0]
         self.before = self.path.read_text("utf-8")
         after = mutate_code(self.before, get_operator(mutant.operator_name)(), mutant.occurrence)
         assert after is not None
         self.after = after
-        tree = ast.parse(self.before)
-        self.alone = at_import(tree, self.line)
-        first, last = statement_at(tree, self.line, mutant.end_pos[0])
-        lines = {(str(mutant.module_path), line) for line in range(first, last + 1)}
-        self.tests = chosen(watch, lines, self.alone, longest_s)
+        self.alone = item.job_id in watch.imported or at_import(ast.parse(self.before), self.line)
+        self.tests = chosen(watch, item.job_id, self.alone, longest_s)
         self.limit_s = 20 + 3 * sum(watch.cost_s[test] for test in self.tests)
         self.items = {item.nodeid: item for item in session.items}
         self.session = session
@@ -588,7 +616,7 @@ class Trial:
         if self.alone:
             os.execv(sys.executable, [sys.executable, "-B", "-m", "pytest", "-x", *ARGUMENTS, *self.tests])
         try:
-            exchange(self.path, self.before, self.after, self.line)
+            exchange(self.path, ast.parse(self.after), self.line)
         except (RuntimeError, ValueError):
             return NOT_EXCHANGED
         return fails(self.session, [self.items[test] for test in self.tests])
@@ -636,11 +664,11 @@ def run(
 
             if not Path(adis_gonio.__file__).is_relative_to(copy):
                 raise SystemExit(f"the tests ran on {adis_gonio.__file__}, not on the copy")
+            watch = watched(tests, copy, base.work_items, session.with_suffix(".notes"), options)
             ends = time.monotonic() + 60 * options.minutes
-            watch = watched(tests, copy, room, session.with_suffix(".notes"), options)
             running: list[tuple[WorkItem, Trial]] = []
             for number, item in enumerate(pending):
-                trial = Trial(tests, copy, watch, options.longest, item.mutations[0])
+                trial = Trial(tests, copy, watch, options.longest, item)
                 while running and (trial.alone or running[0][1].alone or len(running) >= options.jobs):
                     finish(*running.pop(_first_over(running)))
                 if time.monotonic() > ends:
@@ -702,7 +730,10 @@ def main() -> None:
     parser.add_argument("--mutants", type=int, default=60, help="sample of each room")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument(
-        "--minutes", type=float, default=math.inf, help="of each room; what was done by then is the sample"
+        "--minutes",
+        type=float,
+        default=math.inf,
+        help="for the mutants of a room; those done are the sample",
     )
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument(
