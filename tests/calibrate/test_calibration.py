@@ -75,7 +75,30 @@ def test_u_contains_the_effects_of_temperature_that_the_calibration_does_not_cor
         assert u_deg == pytest.approx(math.degrees(math.hypot(across, skew, skew)), rel=0.05)
     corrected = known({"bias_temperature": (0.5, 0.5), "scale_temperature": (0.0, 0.0)})
     assert float(corrected.angle(readings, 14.0).u_deg) < 0.1 * float(plain.angle(readings, 14.0).u_deg)
+    # Only the misalignments of the accelerometers remain: no effect of the gyros, in °/s, takes part.
+    left = float(corrected.angle(readings, 14.0).u_deg)
+    assert left == pytest.approx(math.hypot(*[0.002 * 16 / 2] * 2), rel=0.02)
     assert float(plain.angle(readings).u_deg) == 0.0, "the temperature of the session stands in"
+
+
+def test_u_in_every_plane_contains_the_misalignments_by_temperature():
+    """The typical misalignment is 0.002 °/°C of one axis to another, in each of the three planes."""
+    units = {"scale": "1", "skew": "deg"}
+    names = ("scale_x", "scale_y", "scale_z", "skew_xy", "skew_xz", "skew_yz")
+    parameters = [Coefficient(n, float("scale" in n), 0.0, units[n[:-2].rstrip("_xyz")]) for n in names]
+    effects = [effect(name, "xyz") for name in ("bias_temperature", "scale_temperature")]
+    parameters += [Coefficient(p.name, 0.0, 0.0, p.unit) for one in effects for p in one.parameters]
+    space = Calibration(
+        method="ml",
+        provenance=Provenance("adis16354", "none", 9.80665, temperature_c=Covered(30.0, 29.0, 31.0)),
+        parameters=tuple(parameters),
+        covariance=np.zeros((len(parameters),) * 2),
+        effects=tuple(EffectTerm(one, tuple(p.name for p in one.parameters)) for one in effects),
+    )
+    for k, plane in enumerate(("xy", "xz", "yz")):
+        reading = np.array([[700.0, 700.0, 0.0], [700.0, 0.0, 700.0], [0.0, 700.0, 700.0]])[k]
+        u_deg = float(space.angle(reading, 20.0, plane=plane).u_deg)
+        assert u_deg == pytest.approx(math.hypot(*[0.002 * 10 / 2] * 2), rel=0.02)
 
 
 def test_effects_of_reading_and_temperature_are_corrected_at_the_temperature_given():

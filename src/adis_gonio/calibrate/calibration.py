@@ -816,13 +816,13 @@ class Calibration(Coefficients, eq=False, kw_only=True):
             for at in (np.full(len(readings), session.mean), now_c)
         )
         corrected = {term.effect.name for term in self.effects}
-        for name, kind in catalogue().items():
+        for name, kind in catalogue("accelerometer").items():
             if name in corrected or not kind.correctable or kind.needs != ("temperature_c",):
                 continue
-            for axis in AXES[: self.axes]:
-                one = effect(name, (axis,))
-                typical = np.array([parameter.typical for parameter in one.parameters])
-                change = one.reading(typical, ideal, here) - one.reading(typical, ideal, there)
+            one = effect(name, AXES[: self.axes])
+            for amplitude in (parameter for parameter in one.parameters if not parameter.shape):
+                alone = one.defaults({amplitude.name: amplitude.typical}, others="zero")
+                change = one.reading(alone, ideal, here) - one.reading(alone, ideal, there)
                 yield change * self.per_mg
 
 
