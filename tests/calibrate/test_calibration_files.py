@@ -16,6 +16,8 @@ import pytest
 import adis_gonio
 from adis_gonio import Calibration
 from adis_gonio.base.errors import DataError, UsageError
+from adis_gonio.base.uncertainty import Value
+from adis_gonio.calibrate import GyroCalibration
 from adis_gonio.faces.cli import main
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.samples_writer import write_samples_csv
@@ -53,11 +55,15 @@ def test_the_schema_is_one_and_every_file_obeys_it(calibration):
 
 def test_a_file_is_loaded_and_a_session_refused_without_the_trace(tmp_path):
     ALL[0].save(tmp_path / "c.json")
+    GyroCalibration.of({f"gyro_bias_{axis}": Value(0.1, 0.01, "dps") for axis in "xyz"}).save(
+        tmp_path / "g.json"
+    )
     (tmp_path / "s.csv").write_text("time_s,ax_mg,ay_mg\n0,1,2\n", "utf-8")
     script = (
-        "import sys\nfrom adis_gonio.calibrate import Calibration\n"
+        "import sys\nfrom adis_gonio.calibrate import Calibration, GyroCalibration\n"
         "from adis_gonio.base.errors import DataError\n"
         "print(Calibration.load('c.json').names)\n"
+        "print(GyroCalibration.load('g.json').bias_dps)\n"
         "try: Calibration.load('s.csv')\n"
         "except DataError as error: print(error)\n"
         "assert 'adis_gonio.tracing.trace_calibrations' not in sys.modules\n"
@@ -70,8 +76,9 @@ def test_a_file_is_loaded_and_a_session_refused_without_the_trace(tmp_path):
         timeout=300,
         check=True,
     )
-    names, refusal = done.stdout.splitlines()
+    names, bias, refusal = done.stdout.splitlines()
     assert names == str(ALL[0].names)
+    assert bias == "[0.1 0.1 0.1]"
     assert refusal.startswith("s.csv: ")
 
 
@@ -138,6 +145,21 @@ def damaged():
         "effect cubic needs 1",
     )
     yield put("source", "shoe_size", value="44"), "shoe_size"
+    yield (
+        put("parameters", "delta_phi", "value", value=120.0),
+        "delta_phi is 120: no angle between two axes",
+    )
+    for name, axes, says in (
+        ("hysteresis", ["x"], "does not record approach"),
+        ("g_sensitivity", ["x"], "does not record force_g"),
+        ("quadratic", ["z"], "z was not recorded"),
+    ):
+        one = {"effect": name, "axes": axes, "choices": {"force": 1} if name[0] == "g" else {}}
+        yield put("effects", value=[{**one, "parameters": ["scale_x"]}]), says
+    yield (
+        put("reference", "session_temperature_c", value={"least": 1.0}),
+        "session_temperature_c lacks 'mean'",
+    )
     yield put("covariance", value=7), "damaged"
 
 

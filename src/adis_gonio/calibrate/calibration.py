@@ -159,10 +159,10 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
         if cls.of_session is not None:
             made: Self = cls.of_session(path)
             return made
-        from adis_gonio.calibrate.calibration_document import calibration_in
+        from adis_gonio.calibrate.calibration_document import any_calibration_in
 
-        found = calibration_in(path)
-        for one in (found, None if found is None else found.gyro):
+        found = any_calibration_in(path)
+        for one in (found, getattr(found, "gyro", None)):
             if isinstance(one, cls):
                 return one
         raise DataError(f"{path}: is not this kind of calibration; fit a session by adis_gonio.fit")

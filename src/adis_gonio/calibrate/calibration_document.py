@@ -85,6 +85,7 @@ def _read_from(
 
 
 _GAINS, _LEAST_GAIN = ("scale_x", "scale_y", "scale_z"), 1e-6
+_LARGEST_SKEW_DEG = 45.0
 _VALUE = number(-1e15, 1e15)
 _TEXTS = list_of(text, 0, 10_000)
 _BODY = {
@@ -106,8 +107,8 @@ _BODY = {
     "assumed": _TEXTS,
     "reference": fields(
         {
-            "session_temperature_c": nullable(mapping_of(_VALUE)),
-            "session_supply_v": nullable(mapping_of(_VALUE)),
+            "session_temperature_c": nullable(fields(dict.fromkeys(("mean", "low", "high"), _VALUE))),
+            "session_supply_v": nullable(fields(dict.fromkeys(("mean", "low", "high"), _VALUE))),
         },
         others=anything,
     ),
@@ -234,9 +235,13 @@ def _checked(calibration: Calibration) -> Calibration:
     for one in calibration.parameters:
         if one.name in _GAINS and not _LEAST_GAIN <= abs(one.value) <= 1 / _LEAST_GAIN:
             raise ValueError(f"{one.name} is {one.value:g}: no gain of a sensor")
+        if one.name.startswith(("delta_phi", "skew_")) and abs(one.value) > _LARGEST_SKEW_DEG:
+            raise ValueError(f"{one.name} is {one.value:g}: no angle between two axes of a sensor")
     for name in calibration.measurement.names:
         if name not in names and name not in calibration.assumed:
             raise ValueError(f"parameter {name} is missing")
+    # Effects with unknown conditions, or on an axis that the calibration lacks, raise `UsageError`.
+    calibration.readings_of(np.eye(calibration.axes))
     return calibration
 
 
@@ -253,6 +258,14 @@ def calibration_in(path: str | Path) -> Calibration | None:
         The file is JSON but not a calibration, or it is damaged.
     """
     document = json_document(Path(path))
+    return None if document is None else calibration_from(document, str(path))
+
+
+def any_calibration_in(path: str | Path) -> Calibration | GyroCalibration | None:
+    """Read a calibration of accelerometers or of gyros alone, as `calibration_in` does."""
+    document = json_document(Path(path))
+    if isinstance(document, dict) and document.get("schema") == GyroCalibration.schema:
+        return gyro_calibration_from(document, str(path))
     return None if document is None else calibration_from(document, str(path))
 
 
