@@ -417,3 +417,9 @@ def test_dwells_with_noise_of_their_own_add_up_their_degrees_of_freedom():
     data = readings_of(Session(made, accel_unit="mg", sensor="generic", fixture_sigma_deg=0.01))
     assert not data.pooled
     assert data.noise_dof == 4 * 399
+
+
+def test_counts_that_show_no_scale_are_refused_with_the_name_of_the_file():
+    counts = [dwell([row], k, angle_deg=90.0 * k) for k, row in enumerate([(100, 200), (200, 100)])]
+    with pytest.raises(FitError, match=r"^counts\.csv: 2 positions cannot show an unknown scale"):
+        fit(session(*counts, accel_unit="counts", source="counts.csv"))

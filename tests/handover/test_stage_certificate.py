@@ -169,6 +169,20 @@ def test_a_certificate_that_does_not_cover_the_angles_is_refused():
         Overrides(stage_curve=part).apply(measured(np.zeros_like, np.random.default_rng(1)))
 
 
+def test_a_certificate_has_no_use_for_poses_in_space():
+    curve = StageCurve("stage.xml", ANGLE, 0 * ANGLE, COVARIANCE)
+    rng = np.random.default_rng(1)
+    dwells = tuple(
+        Dwell(k, np.arange(9) + 10.0 * k, 1000 * row + rng.standard_normal((9, 3)), angle_deg=60.0 * k)
+        for k, row in enumerate(np.concatenate([np.eye(3), -np.eye(3)]))
+    )
+    poses = Session(dwells, accel_unit="mg", sensor="generic", plane="none", source="poses.csv")
+    with pytest.raises(
+        DataError, match=r"poses\.csv: the certificate of a stage corrects angles in a plane"
+    ):
+        fit(Overrides(stage_curve=curve).apply(poses))
+
+
 def test_fit_takes_the_certificate_and_records_it(tmp_path, capsys):
     session = tmp_path / "s.csv"
     write_samples_csv(

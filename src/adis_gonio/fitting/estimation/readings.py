@@ -501,7 +501,15 @@ def readings_of(session: Session) -> Readings:
 
 def _checked_readings(session: Session) -> Readings:
     current().tell("noise of the readings")
-    readings = reduced(session)
+    if session.stage_curve is not None and session.plane != "xy":
+        raise DataError(
+            f"{session.source or 'session'}: the certificate of a stage corrects angles in a plane, but the"
+            " session states plane none: leave out one of the two"
+        )
+    try:
+        readings = reduced(session)
+    except FitError as error:
+        raise FitError(f"{session.source}: {error}" if session.source else str(error)) from error
     _refuse_other_units(session, readings)
     _refuse_other_turns(session, readings)
     return readings
