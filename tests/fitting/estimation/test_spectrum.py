@@ -184,6 +184,14 @@ def test_correlation_counts_beyond_three_standard_errors_and_is_never_whole(
     np.testing.assert_allclose(found, [[4.0, 10 * kept], [10 * kept, 25.0]])
 
 
+def test_three_axes_that_move_together_keep_a_correlation_that_chance_could_explain() -> None:
+    xy, xz, yz = -0.882, -0.936, 0.962  # gyros of a part in the hand; three standard errors are 0.905
+    level = np.array([[1.0, xy, xz], [xy, 1.0, yz], [xz, yz, 1.0]])
+    found = module._without_chance_correlation(level[None], np.array([11.0]))[0]
+    np.testing.assert_allclose(found, 0.95 * level + 0.05 * np.eye(3))
+    assert np.linalg.eigvalsh(found)[0] >= 0.05, "without the correlation of x and y it is indefinite"
+
+
 def test_the_whole_of_the_lowest_ordinates_read_as_flicker_is_its_allan_variance() -> None:
     rows = [samples_with({1: 8.0, 2: 5.0, 3: 2.0, 4: 77.0}, n)[:, None] for n in (64, 100)]
     found = module._all_flicker(module._periodograms(rows, 1.0))

@@ -520,15 +520,19 @@ def _without_chance_correlation(level: Floats, dof: Floats) -> Floats:
     """Return noise densities in which correlations between axes are zero if chance explains them.
 
     Chance explains correlations below three standard errors. `level` (d, axes, axes) are the densities of
-    the dwells, `dof` (d,) their degrees of freedom.
+    the dwells, `dof` (d,) their degrees of freedom. The results are positive definite.
     """
     deviation = np.sqrt(np.maximum(np.diagonal(level, axis1=1, axis2=2), 1e-300))
     correlation = level / (deviation[:, :, None] * deviation[:, None, :])
     keep = np.abs(correlation) > 3 / np.sqrt(dof)[:, None, None]
     keep |= np.eye(level.shape[1], dtype=bool)
     # An indefinite matrix is worse than a lost correlation; 0.95 keeps its inverse tame.
-    limited = np.clip(correlation, -0.95, 0.95) + 0.05 * np.eye(level.shape[1])
-    return np.where(keep, limited, 0.0) * deviation[:, :, None] * deviation[:, None, :]
+    one = np.eye(level.shape[1])
+    limited = np.where(keep, np.clip(correlation, -0.95, 0.95) + 0.05 * one, 0.0)
+    # Three axes that move together, of which one correlation is dropped: all correlations are kept.
+    wild = np.linalg.eigvalsh(limited)[:, 0] < 0.049
+    limited = np.where(wild[:, None, None], 0.95 * correlation + 0.05 * one, limited)
+    return limited * deviation[:, :, None] * deviation[:, None, :]
 
 
 def _all_flicker(groups: list[_Ordinates]) -> Floats:
