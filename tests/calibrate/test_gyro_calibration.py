@@ -275,7 +275,16 @@ def damages():
     yield put("assumed", value=None), "lacks 'assumed'"
 
 
-@pytest.mark.parametrize(("change", "match"), list(damages()))
+def lacks_a_zero_rate(document):
+    inner = document["gyro"]
+    del inner["parameters"]["gyro_bias_x"]
+    inner["covariance"] = None
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [*damages(), (lacks_a_zero_rate, "damaged gyro calibration: gyro_bias_x not determined")],
+)
 def test_a_damaged_file_is_refused_in_one_line_that_names_it(change, match, tmp_path):
     document = copy.deepcopy(with_gyros(calibration(PLANE), FULL).as_dict())
     change(document)

@@ -159,9 +159,7 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         """Raise `FitError` for a missing zero rate, a wrong unit, or impossible gains or directions."""
         missing = [f"gyro_bias_{axis}" for axis in AXES if f"gyro_bias_{axis}" not in self]
         if missing:
-            raise FitError(
-                f"the session does not determine {', '.join(missing)}: its gyros are not calibrated"
-            )
+            raise FitError(f"{', '.join(missing)} not determined: the gyros are not calibrated")
         for one in self.parameters:
             if one.unit != UNIT_OF.get(one.name):
                 raise FitError(f"{one.name} in {one.unit} is no parameter of a gyro")
