@@ -1,6 +1,7 @@
 """What is predicted comes: against sessions drawn by other means, and through the simulated chip."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,8 +13,8 @@ from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.fitting import fit
 from adis_gonio.fitting.estimation.readings import readings_of
-from adis_gonio.plan.optimal_plan import best_plan
-from adis_gonio.plan.prediction import Bench, expected_readings, predict, predict_uncertainty
+from adis_gonio.plan.optimal_plan import best_plan, even_plan
+from adis_gonio.plan.prediction import Bench, expected_readings, predict, predict_sight, predict_uncertainty
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import plan
 from adis_gonio.tracing.trace import trace_readings
@@ -117,6 +118,14 @@ def test_a_pair_that_nothing_tells_apart_is_named_and_order_tells_it():
     assert frozenset(("quadratic", "cross_quadratic")) in alike(plan("mmpm"))
     assert frozenset(("bias_drift", "scale_drift")) in alike(plan("mmpm"))
     assert frozenset(("bias_drift", "scale_drift")) not in alike(plan("tumble", 6))
+
+
+def test_rounding_does_not_decide_the_order_of_pairs_that_are_confounded_equally():
+    readings = expected_readings(even_plan(12, both_sides=True), Bench(0.02)).training
+    nearby = replace(readings, mean=readings.mean * (1 + 1e-15))
+    found, other = predict_sight(readings).confounded, predict_sight(nearby).confounded
+    assert [pair.separation for pair in found[:3]] == [0.0, 0.0, 0.0]
+    assert [pair.effects for pair in found] == [pair.effects for pair in other]
 
 
 @pytest.mark.parametrize("tolerance_deg", [0.03, 0.04, 0.05])

@@ -505,7 +505,8 @@ def predict_sight(readings: Readings) -> Sight:
             _separation(columns[other], columns[one], seen[other]),
         )
         if separation < LEAST_SEPARATION:
-            found.append(ConfoundedPair((one, other), separation))
+            # Without rounding errors, which would decide the order of pairs that are confounded equally.
+            found.append(ConfoundedPair((one, other), round(separation, 9)))
     return Sight(seen, tuple(sorted(found, key=lambda pair: pair.separation)))
 
 
