@@ -37,6 +37,9 @@ def plain(_, accel, gyro):
     still = ((spread <= 4 * np.array(noise)) & (spread >= 0.1 * np.array(noise))).all(axis=1)
     turning = np.lib.stride_tricks.sliding_window_view(gyro, window, axis=0).std(axis=-1)
     still &= (turning <= 10 * np.median(turning[still], axis=0)).all(axis=1)
+    mean = np.lib.stride_tricks.sliding_window_view(accel, window, axis=0).mean(axis=-1)
+    moved = (np.abs(mean[2 * window :] - mean[: -2 * window]) > 4 * np.array(noise)).any(axis=1)
+    still[window:-window] &= ~(moved & still[: -2 * window] & still[2 * window :])
     found, k = [], 0
     while k < len(still):
         if not still[k]:

@@ -93,17 +93,25 @@ def test_data_that_never_change_are_refused():
         dwells_of(t, np.zeros((1000, 3)))
 
 
-def test_a_slip_within_a_rest_splits_it_if_a_window_shows_it():
+def test_a_slip_within_a_rest_splits_it():
     rng = np.random.default_rng(6)
     t, accel, _, _ = recording(rng, [10, 10], noise=1.0)
-    for length_s, parts in (
-        (0.02, 2),
-        (0.8, 1),
-    ):  # so slow and small that no window shows it: for the trace
+    for length_s in (0.02, 0.8):  # the slower one moves the mean of a window, but not its deviation
         slipped = accel.copy()
         slipped[:, 1] += np.interp(t, [0, 4.5, 4.5 + length_s, 10], [0, 0, 12.0, 12.0])
         found = dwells_of(t, slipped)
-        assert len([rows for rows in found if t[rows.start] < 10]) == parts
+        assert len([rows for rows in found if t[rows.start] < 10]) == 2
+
+
+@pytest.mark.parametrize(("noise", "move_s"), [(2.0, 45), (2.0, 20), (5.0, 25), (5.0, 15), (5.0, 10)])
+def test_a_slow_turn_is_no_rest(noise, move_s):
+    rng = np.random.default_rng(8)
+    t, accel, _, spans = recording(rng, [8, 8, 8], move_s, noise)
+    found = [(t[rows.start], t[rows.stop - 1]) for rows in dwells_of(t, accel)]
+    assert len(found) == len(spans)
+    for (begin, end), (start, stop) in zip(found, spans, strict=True):
+        assert start - 0.25 < begin < start + 1
+        assert stop - 1 < end < stop + 0.25
 
 
 def test_a_gyro_shows_a_turn_that_gravity_does_not():

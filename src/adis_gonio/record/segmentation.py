@@ -9,7 +9,8 @@ far more than the noise of its gyros, which does no harm. The limit of a gyro's 
 therefore ten times its median in windows in which the accelerations are still.
 
 Every run of still windows is trimmed by `TRIM_S` at both ends, which the hand may disturb, and kept if it
-lasts at least `LEAST_S`. A slip within a run is not cut: the trace finds steps within a dwell.
+lasts at least `LEAST_S`. A slow turn or a slip moves the mean more than the standard deviation: the window
+between two still windows is not still if their means differ by more than the upper limit.
 
 Standard deviations are computed a block of rows at a time, so that memory is needed for one block only.
 """
@@ -249,10 +250,19 @@ def _runs(whole: _Extent, limits: StillnessLimits) -> tuple[Runs, Runs]:
         usual = [spread.quantile(0.5) for spread in _spreads(still_rates, turns)]
         coarse = UPPER * whole.quantum[axes:] / math.sqrt(12)
         upper = np.concatenate([upper, np.maximum(_GYRO_UPPER * np.array(usual), coarse)])
-    still, flat = list[Flags](), list[Flags]()
+    flat_parts, still_parts, moved_parts = list[Flags](), list[Flags](), [np.zeros(0, dtype=np.bool_)]
     for part in whole.deviations(window):
-        flat.append(np.any(part[:, :axes] < limits.lower, axis=1))
-        still.append(np.all(part <= upper, axis=1) & ~flat[-1])
+        flat_parts.append(np.any(part[:, :axes] < limits.lower, axis=1))
+        still_parts.append(np.all(part <= upper, axis=1) & ~flat_parts[-1])
+    for _, rows in _blocks(whole.parts[:1], 3 * window - 1):
+        sums = np.cumsum(np.vstack([np.zeros(axes), rows - rows[0]]), axis=0)
+        totals = sums[window:] - sums[:-window]
+        change = np.abs(totals[2 * window :] - totals[: -2 * window])
+        moved_parts.append(np.any(change > window * limits.upper, axis=1))
+    flat, still, moved = map(np.concatenate, (flat_parts, still_parts, moved_parts))
+    # Slow motion: a window is not still if it is between two still windows with different means.
+    moved &= still[: -2 * window] & still[2 * window :]
+    still[window : window + len(moved)] &= ~moved
     return _runs_of(still), _runs_of(flat)
 
 
@@ -260,8 +270,8 @@ Runs = list[tuple[int, int]]
 """Runs of true flags, each as the numbers of its first and its last flag."""
 
 
-def _runs_of(flags: list[Flags]) -> Runs:
-    edges = np.flatnonzero(np.diff(np.concatenate(flags), prepend=False, append=False)).tolist()
+def _runs_of(flags: Flags) -> Runs:
+    edges = np.flatnonzero(np.diff(flags, prepend=False, append=False)).tolist()
     return [(first, after - 1) for first, after in zip(edges[::2], edges[1::2], strict=True)]
 
 
