@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+import errno
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from adis_gonio.base.errors import OutputError
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.device.sensor.scanning import PolledScans
@@ -40,6 +42,37 @@ def test_notes_of_a_recording_are_in_its_header_and_come_back_as_the_session_s(t
         recorder.add(sensor.read_scans(3000))
     assert "# note: rows may mix two updates: beware\n# note: second\ntime_s," in path.read_text()
     assert load_session(path).notes[:2] == ("rows may mix two updates: beware", "second")
+
+
+class FullDisk:
+    """A file whose disk takes half of a block and no more."""
+
+    def __init__(self, file):
+        self._file = file
+
+    def write(self, data):
+        self._file.write(data[: len(data) // 2])
+
+    def flush(self):
+        self._file.flush()
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def close(self):
+        self._file.close()
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz"])
+def test_the_rows_before_a_full_disk_or_a_kill_can_be_read(tmp_path, name):
+    path = tmp_path / name
+    with open_sensor("sim:?seed=2") as sensor:
+        recorder = SamplesRecorder(path, "adis16354", title="\udcff")
+        for _ in range(3):
+            recorder.add(sensor.read_scans(1000))
+        assert sum(map(len, load_session(path).dwells)) > 2500  # as after a kill: nothing was closed
+        recorder._file = FullDisk(recorder._file)
+        with pytest.raises(OutputError, match="its 3000 rows from before are complete"):
+            recorder.add(sensor.read_scans(1000))
+    assert sum(map(len, load_session(path).dwells)) > 2500
 
 
 def test_slow_polling_is_noted_in_a_session(tmp_path, monkeypatch):

@@ -7,13 +7,14 @@ unchanged.
 from __future__ import annotations
 
 import gzip
+import io
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -247,23 +248,23 @@ class SamplesRecorder(Closing):
             "plane": "none",
         }
         self._header = _leading_lines(stated if filter_m is None else {**stated, "filter_m": filter_m})
-        self._file: IO[str] = (
-            gzip.open(path, "xt", encoding="utf-8")  # noqa: SIM115 (closed by `close`)
-            if ends_in(path, ".gz")
-            else path.open("x", encoding="utf-8")
-        )
+        self._file = path.open("xb")
 
     def add(self, block: Block) -> None:
         """Append the samples of a block to the file."""
-        columns = session_columns(block)
+        columns, text = session_columns(block), io.StringIO()
         if not self._size:
             head = [*self._header, *_note_lines(self.notes)]
-            self._file.write(_file_text(head, ["time_s", *columns], ()))
+            text.write(_file_text(head, ["time_s", *columns], ()))
         whole = block.variant != GENERIC
         formats = ["%d" if whole and name in ("ax", "ay", "az") else "%.6g" for name in columns]
         table = np.column_stack([block.time_s, *columns.values()])
+        np.savetxt(text, table, fmt=["%.6f", *formats], delimiter=",")
+        data = text.getvalue().encode("utf-8", "replace")
+        # Each block is a gzip member of its own, so that the file is complete after every block.
+        data = gzip.compress(data, mtime=0) if ends_in(self.path, ".gz") else data
         try:
-            np.savetxt(self._file, table, fmt=["%.6f", *formats], delimiter=",")
+            self._file.write(data)
             self._file.flush()
         except OSError as error:
             # Close the file, and remove the rows of the failed block.
@@ -273,7 +274,7 @@ class SamplesRecorder(Closing):
                 os.truncate(self.path, self._size)
             kept = f"its {self.rows} rows from before are complete"
             raise OutputError(f"{self.path}: {error.strerror or error}; {kept}") from error
-        self._size = self.path.stat().st_size
+        self._size += len(data)
         self.rows += len(block)
         self.lost += block.lost
 
