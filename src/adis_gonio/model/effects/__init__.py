@@ -35,7 +35,7 @@ BUILT_IN: dict[str, type[Effect]] = {
     for module in (sensor_terms, stage_terms, gyro_terms)
     for kind in vars(module).values()
     if isinstance(kind, type) and issubclass(kind, Effect)
-    if kind.__module__ == module.__name__ and "name" in vars(kind)
+    if kind.__module__ == module.__name__ and "cause" in vars(kind)
 }
 """Effect classes of this package by name, in the order of their definition."""
 

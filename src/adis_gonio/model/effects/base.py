@@ -29,6 +29,7 @@ Another package adds an effect by an entry point of group `adis_gonio.effects`.
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -335,8 +336,9 @@ class Effect(ABC):
     axes: tuple[str, ...] = ()
 
     name: ClassVar[str]
+    """Name in the catalogue; by default from the name of the class, such as `cross_axis` of `CrossAxis`."""
     cause: ClassVar[str]
-    """Physical cause of the effect, in one sentence."""
+    """Physical cause of the effect, in one sentence; a base class has none."""
     covariates: ClassVar[tuple[str, ...]]
     """Covariates of the effect in words of `COVARIATES`, the most important first; empty for a constant.
     By default they follow from `needs`; `catalogue` refuses an effect that declares neither."""
@@ -373,8 +375,10 @@ class Effect(ABC):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        if "name" not in vars(cls):
+        if not {"name", "cause"} & vars(cls).keys():
             return
+        if "name" not in vars(cls):
+            cls.name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", cls.__name__).lower()
         needed = tuple(_OF_CONDITION[need] for need in cls.needs if need in _OF_CONDITION)
         if needed and "covariates" not in vars(cls):
             cls.covariates = needed

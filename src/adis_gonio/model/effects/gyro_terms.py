@@ -46,7 +46,6 @@ class GyroBiasTemperature(BiasTemperature):
         Highest power, 1 to 3.
     """
 
-    name = "gyro_bias_temperature"
     cause = "The zero rate of a gyro moves with the temperature of its die."
     remedy = CYCLE
     parts = GYRO
@@ -76,7 +75,6 @@ class GSensitivity(LinearAxisEffect):
 
     force: int = 0
 
-    name = "g_sensitivity"
     cause = "Acceleration bends the vibrating structure of a gyro, which reads it as a rate of turn."
     remedy = _OTHER_ORDER
     prior = "force"
@@ -118,7 +116,6 @@ class G2Sensitivity(LinearAxisEffect):
 
     force: int = 2
 
-    name = "g2_sensitivity"
     cause = (
         "The zero rate of a gyro moves with the square of a force, alike for both signs (rectification)."
     )
@@ -148,7 +145,6 @@ class GyroScale(LinearAxisEffect):
     needs turns at two temperatures.
     """
 
-    name = "gyro_scale"
     cause = "The sensitivity of a gyro differs from its nominal one."
     remedy = WHOLE_TURNS
     needs = ("rate_dps",)
@@ -169,7 +165,6 @@ class GyroScaleTemperature(LinearAxisEffect):
     temperatures.
     """
 
-    name = "gyro_scale_temperature"
     cause = "The sensitivity of a gyro changes with the temperature of its die."
     remedy = "turn the part by whole turns at two temperatures, 10 °C apart"
     needs = ("rate_dps", "temperature_c")
@@ -195,7 +190,6 @@ class GyroMisalignment(AxisEffect):
     each of the three axes.
     """
 
-    name = "gyro_misalignment"
     cause = "The axis of a gyro is misaligned towards another axis of the accelerometers by a small angle."
     remedy = WHOLE_TURNS
     needs = ("rate_dps",)
@@ -252,7 +246,6 @@ class GyroDrift(LinearAxisEffect):
 
     steps: int = 0
 
-    name = "gyro_drift"
     cause = "The zero rate of a gyro moves evenly with time, or from one handling of the part to the next."
     remedy = _OTHER_ORDER
     not_corrected = "follows the clock of the session; the zero rate applies to its start"
@@ -282,7 +275,6 @@ class GyroWarmUp(WarmUp):
     like `gyro_bias_temperature`: switch off and on within the session.
     """
 
-    name = "gyro_warm_up"
     cause = "The zero rate of a gyro settles while the part heats itself after power-on."
     remedy = "switch the sensor off, let it cool, and repeat a few poses after switching on"
     not_corrected = "follows the clock of the session; the zero rate applies to the warm part"
@@ -299,7 +291,6 @@ class GyroSupply(SupplyBias):
     `gyro_drift`: change the supply by hand in one pose.
     """
 
-    name = "gyro_supply"
     cause = "The zero rate of a gyro moves with the supply voltage."
     remedy = "change the supply by hand in one pose, such as from 4.8 to 5.2 V"
     parts = GYRO
@@ -314,7 +305,6 @@ class GyroAsymmetry(LinearAxisEffect):
     Separated by: Turns in one sense alone show it as a gain (`gyro_scale`): turn in both senses.
     """
 
-    name = "gyro_asymmetry"
     cause = "The gain of a gyro differs between the two senses of turning."
     remedy = "turn the part by as many whole turns to the one side as to the other"
     not_corrected = "differs between the two senses of turning, which no gain corrects"

@@ -47,7 +47,6 @@ class Bias(LinearAxisEffect):
     adds to it in one plane: use positions out of the plane.
     """
 
-    name = "bias"
     cause = "An axis does not read zero without acceleration along it."
     remedy = "repeat a few positions on another day or at another temperature"
     in_base = True
@@ -70,7 +69,6 @@ class Scale(LinearAxisEffect):
     harmonic.
     """
 
-    name = "scale"
     covariates = ("reading",)
     cause = "The sensitivity of an axis differs from its nominal one."
     remedy = "enter the local gravity by --gravity"
@@ -96,7 +94,6 @@ class Misalignment(CrossEffect):
     plane: turn in another plane.
     """
 
-    name = "misalignment"
     cause = "The sensitive direction of an axis is misaligned towards another axis by a small angle."
     remedy = "repeat the session in another plane"
     in_base = True
@@ -120,7 +117,6 @@ class CrossAxis(CrossEffect):
     and only the stage's term changes its sign.
     """
 
-    name = "cross_axis"
     cause = "Acceleration across an axis deflects its proof mass and so changes its sensitivity (K_ip)."
     remedy = ONE_TURN
     shown_over = "angle"
@@ -141,7 +137,6 @@ class Quadratic(LinearAxisEffect):
     remount the part by 180°.
     """
 
-    name = "quadratic"
     covariates = ("reading",)
     cause = "The response of an axis is curved: the same change for +1 g and for −1 g (K2)."
     remedy = _OUT_OF_PLANE
@@ -163,7 +158,6 @@ class Cubic(LinearAxisEffect):
     remount by 90°, and only the stage's term changes its sign.
     """
 
-    name = "cubic"
     covariates = ("reading",)
     cause = "The sensitivity of an axis changes alike towards both ends of its range (K3)."
     remedy = "remount the part turned by 90° and repeat some angles"
@@ -184,7 +178,6 @@ class Asymmetry(LinearAxisEffect):
     kink.
     """
 
-    name = "asymmetry"
     covariates = ("reading",)
     cause = "The gain of an axis differs between positive and negative acceleration."
     remedy = "add angles with readings of an axis near zero, five degrees apart"
@@ -205,7 +198,6 @@ class CrossQuadratic(CrossEffect):
     plane.
     """
 
-    name = "cross_quadratic"
     cause = "Acceleration across an axis shifts its bias by its square (K_pp)."
     remedy = _OUT_OF_PLANE
     remedy_in_space = _OBLIQUE
@@ -226,7 +218,6 @@ class VibrationRectification(LinearAxisEffect):
     vibration on and off.
     """
 
-    name = "vibration_rectification"
     cause = "An even nonlinearity turns vibration into a shift of the mean."
     remedy = "repeat one position with a source of vibration on, and off"
     not_corrected = "follows the variance of many samples, which a single reading does not show"
@@ -261,7 +252,6 @@ class BiasTemperature(LinearAxisEffect):
 
     degree: int = 1
 
-    name = "bias_temperature"
     cause = "The bias of an axis changes with the temperature of the die."
     remedy = CYCLE
     needs = ("temperature_c",)
@@ -295,7 +285,6 @@ class ScaleTemperature(LinearAxisEffect):
     same temperatures. For `scale_drift` let the temperature rise and fall.
     """
 
-    name = "scale_temperature"
     cause = "The sensitivity of an axis changes with the temperature of the die."
     remedy = CYCLE
     needs = ("temperature_c",)
@@ -319,7 +308,6 @@ class MisalignmentTemperature(CrossEffect):
     measure several angles at two temperatures.
     """
 
-    name = "misalignment_temperature"
     cause = "The misalignment of an axis changes with the temperature of the die."
     remedy = CYCLE
     needs = ("temperature_c",)
@@ -344,7 +332,6 @@ class ThermalLag(CourseEffect):
     through the same temperature.
     """
 
-    name = "thermal_lag"
     cause = "The element that shifts the bias warms later than the die with the thermometer."
     remedy = "heat and let cool at different speeds, with a dwell every few minutes"
     not_corrected = MEMORY
@@ -368,7 +355,6 @@ class SupplyBias(LinearAxisEffect):
     change the supply by hand at one position.
     """
 
-    name = "supply_bias"
     cause = "The bias of an axis changes with the supply voltage."
     remedy = "change the supply by hand at one position, such as from 4.8 to 5.2 V"
     needs = ("supply_v",)
@@ -388,7 +374,6 @@ class SupplyScale(LinearAxisEffect):
     voltages, changed by hand.
     """
 
-    name = "supply_scale"
     cause = "The sensitivity of an axis changes with the supply voltage."
     remedy = "change the supply by hand at +1 g and at −1 g, such as from 4.8 to 5.2 V"
     needs = ("supply_v",)
@@ -409,7 +394,6 @@ class BiasDrift(LinearAxisEffect):
     measure longer.
     """
 
-    name = "bias_drift"
     cause = "The bias of an axis changes evenly with time (ageing, relaxing stress, creep of the mount)."
     remedy = "repeat some positions in another order, and once more after a break"
     covariates = ("time",)
@@ -429,7 +413,6 @@ class ScaleDrift(LinearAxisEffect):
     late. For `scale_temperature` let the temperature rise and fall.
     """
 
-    name = "scale_drift"
     cause = "The sensitivity of an axis moves evenly with time (ageing, a reference that drifts)."
     remedy = "repeat +1 g and −1 g of an axis early and late, and once more after a break"
     not_corrected = "follows the clock of the session; the gain applies to its start"
@@ -450,7 +433,6 @@ class WarmUp(CourseEffect):
     can also look like `bias_temperature`. A second session after a cold start tells them apart.
     """
 
-    name = "warm_up"
     cause = "The bias of an axis settles while the part heats itself after power-on."
     remedy = "switch the sensor off, let it cool, and repeat a few positions after switching on"
     not_corrected = "follows the clock of the session; the bias applies to the warm part"
@@ -475,7 +457,6 @@ class Gravity(Effect):
     separates it from `scale`.
     """
 
-    name = "gravity"
     covariates = ("reading",)
     cause = "Local gravity differs from the declared gravity of the session."
     remedy = "enter the local gravity by --gravity"

@@ -79,6 +79,12 @@ class StageHarmonic(StageEffect):
         return tuple(np.where(np.abs(wave) > _ROUNDING, wave, 0.0) for wave in waves)
 
 
+def _waves(stem: str) -> tuple[Parameter, Parameter]:
+    """Return the amplitudes of sine and cosine in degrees, such as `ecc_sin` and `ecc_cos`."""
+    sine, cosine = (Parameter(f"{stem}_{wave}", "deg", -2.0, 2.0, 0.01) for wave in ("sin", "cos"))
+    return sine, cosine
+
+
 class StageEccentricity(StageHarmonic):
     """The divided circle is off-centre: an angle error with one cycle a turn.
 
@@ -90,14 +96,10 @@ class StageEccentricity(StageHarmonic):
     180°, and only the stage's term changes its sign.
     """
 
-    name = "stage_eccentricity"
     cause = "The divided circle of the stage is not centred on its axis: one cycle a turn."
     remedy = ONE_TURN
     cycles = 1
-    parameters = (
-        Parameter("ecc_sin", "deg", -2.0, 2.0, 0.01),
-        Parameter("ecc_cos", "deg", -2.0, 2.0, 0.01),
-    )
+    parameters = _waves("ecc")
 
 
 class StageEllipticity(StageHarmonic):
@@ -109,14 +111,10 @@ class StageEllipticity(StageHarmonic):
     compare the stage with a polygon.
     """
 
-    name = "stage_ellipticity"
     cause = "The divided circle of the stage is oval, or its bearing is: two cycles a turn."
     remedy = "remount the part turned by 90° and repeat some angles"
     cycles = 2
-    parameters = (
-        Parameter("ell_sin", "deg", -2.0, 2.0, 0.01),
-        Parameter("ell_cos", "deg", -2.0, 2.0, 0.01),
-    )
+    parameters = _waves("ell")
 
 
 @dataclass(frozen=True)
@@ -142,13 +140,9 @@ class StagePeriodic(StageHarmonic):
 
     cycles: int = 3  # type: ignore[misc]  # a choice of this effect alone
 
-    name = "stage_periodic"
     cause = "A worm, a gear or the division of the stage repeats its error a whole number of times a turn."
     remedy = BETWEEN
-    parameters = (
-        Parameter("per_sin", "deg", -2.0, 2.0, 0.01),
-        Parameter("per_cos", "deg", -2.0, 2.0, 0.01),
-    )
+    parameters = _waves("per")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -171,7 +165,6 @@ class Backlash(StageEffect):
     with the angle: approach several positions from both sides.
     """
 
-    name = "backlash"
     cause = "Play in the drive of the stage: the angle depends on the direction of approach."
     remedy = "approach several positions from both sides"
     not_corrected = _STAGE
@@ -200,7 +193,6 @@ class PositionSlip(StageEffect):
 
     dwell: int = 1
 
-    name = "position_slip"
     cause = "One position differs from its declared angle: the part or the stage slipped, or was misread."
     remedy = "repeat the position"
     not_corrected = OF_DWELL
@@ -224,7 +216,6 @@ class Hysteresis(LinearAxisEffect):
     from both sides.
     """
 
-    name = "hysteresis"
     cause = "Stress of the last move stays in the sensor or its mount and shifts the bias of an axis."
     remedy = "approach several positions from both sides"
     not_corrected = MEMORY
@@ -252,7 +243,6 @@ class Creep(CourseEffect):
     τ, and turn back. `settling` begins again with every dwell.
     """
 
-    name = "creep"
     cause = "The spring or the mount of an axis continues to yield after a change of its load."
     remedy = "turn by 180°, dwell there for several time constants, and turn back"
     not_corrected = MEMORY
@@ -291,7 +281,6 @@ class AxisTilt(Effect):
     reversed.
     """
 
-    name = "axis_tilt"
     covariates = ("reading",)
     cause = "The axis of rotation is not horizontal, so that gravity leaves the plane of rotation."
     remedy = "level the stage's axis with a spirit level"
@@ -365,7 +354,6 @@ class Saturation(SampleEffect):
     Separated by: Samples pile up at one extreme value; `quantization` piles them up on every step.
     """
 
-    name = "saturation"
     cause = "The output stops at the end of the range."
     common = (Parameter("limit", "mg", 1.0, 20000.0, 1700.0, shape=True),)
     """The limit at which samples are clipped. The typical value is 1.7 g, the range of the ADIS16354; its
@@ -387,7 +375,6 @@ class Quantization(SampleEffect):
     it: lower the filter setting, or tilt by a fraction of a step.
     """
 
-    name = "quantization"
     cause = "The converter gives whole steps; if noise is below a step the mean follows a staircase."
     common = (Parameter("lsb", "mg", 0.0, 100.0, 0.4672),)
     """The size of the converter's LSB; 0 leaves the samples unrounded."""
@@ -409,7 +396,6 @@ class Tone(SampleEffect):
     at two rates.
     """
 
-    name = "tone"
     cause = "A machine or the mains shakes the table: a spectral line within the dwells."
     coefficients = (Parameter("tone", "mg", -2000.0, 2000.0, 5.0),)
     common = (
@@ -437,7 +423,6 @@ class NoiseChange(SampleEffect):
     the mean with it.
     """
 
-    name = "noise_change"
     cause = "From a moment on the samples scatter more: a loose contact, a machine, a supply."
     not_corrected = OF_DWELL
     coefficients = (Parameter("extra", "mg", 0.0, 1000.0, 5.0),)
@@ -467,7 +452,6 @@ class Settling(CourseEffect):
     `bias`: wait longer in some dwells.
     """
 
-    name = "settling"
     covariates = ("reading",)
     cause = "After each move the sensor, its mount or the stage settles exponentially."
     remedy = "wait longer before some of the dwells"
@@ -498,7 +482,6 @@ class OutlierDwell(LinearAxisEffect):
 
     dwell: int = 1
 
-    name = "outlier_dwell"
     cause = "One dwell was disturbed: a touch, a shock, a failure of the supply."
     remedy = "repeat the position"
     not_corrected = OF_DWELL
