@@ -307,7 +307,6 @@ def fit_paper(readings: Readings) -> FitResult:
     """
     chosen, weights = _grouped(readings, "paper", (0, 90))
     exact = _linear(chosen, weights, bias=False)
-    natural = chosen.mean / chosen.gravity_mg
     noise = _noise(readings, chosen)
     spread = _sources(replace(chosen, sensor="generic"), exact, noise).covariance
     alpha, phi = float(exact.beta[ALPHA]), float(exact.beta[DELTA_PHI])
@@ -316,9 +315,8 @@ def fit_paper(readings: Readings) -> FitResult:
     gradient = np.zeros(6)
     gradient[ALPHA], gradient[DELTA_PHI] = 2.0, 1.0
     u_at = math.sqrt(max(float(gradient @ spread @ gradient), 0.0))
-    first, second = weights @ natural
     distance = abs(math.cos(at))
-    if math.hypot(phi, u_at) > _NEAR_POLE * distance or min(abs(first[0]), abs(second[1])) < _LEAST_READING:
+    if math.hypot(phi, u_at) > _NEAR_POLE * distance:
         if distance > _FAR_FROM_POLE:
             found = Value(math.degrees(phi), math.degrees(u_at), "deg")
             raise SingularError(
@@ -328,8 +326,8 @@ def fit_paper(readings: Readings) -> FitResult:
         times = f"{1 / distance:.0f} times" if distance > 1e-6 else "more than a million times"
         raise SingularError(
             f"method paper is singular here: α = {format_fixed(math.degrees(alpha), 2)}° brings a + b of"
-            f" equation 12 to {_a_plus_b(first, second):.2g}, so that noise and Δφ itself appear {times} "
-            "enlarged against α = 0°; use method two-position, or start at another angle"
+            f" equation 12 near zero, so that noise and Δφ itself appear {times} enlarged against α = 0°;"
+            " use method two-position, or start at another angle"
         )
     linear, values = _by_paper(chosen, weights, exact)
     warnings = _blind_to_bias(readings, chosen, linear)
@@ -372,13 +370,6 @@ def _by_paper(chosen: Readings, weights: Floats, exact: _Linear) -> tuple[_Linea
         exact.derivative[SCALE_X] / (1 + values[0]) - beta[SCALE_X] * derivative[0] / (1 + values[0]) ** 2
     )
     return _Linear(beta, derivatives, has_bias=False), values
-
-
-def _a_plus_b(first: Floats, second: Floats) -> float:
-    gain = first[0] / -second[1] if second[1] else math.inf
-    terms = [first[1] * gain / first[0] if first[0] else math.inf]
-    terms.append(second[1] * gain / second[0] if second[0] else math.inf)
-    return float(sum(terms))
 
 
 def as_printed(x1: Any, y1: Any, x2: Any, y2: Any) -> tuple[Any, Any]:
