@@ -30,7 +30,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -228,19 +228,14 @@ class Readings(ComputedOnce):
         If the dwells of a session share one estimate of noise (`pooled`), its degrees of freedom count once
         for each session. Otherwise the degrees of freedom of all dwells are added.
         """
-        finite = self.dof[np.isfinite(self.dof)]
-        if not finite.size:
+        known, session = np.isfinite(self.dof), self.conditions.session
+        dof = self.dof[known]
+        if not dof.size:
             return math.inf
         if not self.pooled:
-            return float(finite.sum())
-        session = self.conditions.session
-        whole = np.zeros(len(self)) if session is None else session
-        return float(
-            sum(
-                finite[whole[np.isfinite(self.dof)] == k].max()
-                for k in np.unique(whole[np.isfinite(self.dof)])
-            )
-        )
+            return float(dof.sum())
+        whole = np.zeros(len(dof)) if session is None else session[known]
+        return float(sum(dof[whole == k].max() for k in np.unique(whole)))
 
     @cached_property
     def fixture(self) -> Floats:
@@ -305,17 +300,14 @@ class Readings(ComputedOnce):
 
     def rows(self, index: NDArray[np.bool_] | NDArray[np.intp]) -> Readings:
         """Return a copy with the selected dwells."""
-        by_dwell = [
-            "mean", "own_covariance", "dof", "angle_rad", "check", "position", "samples",
-        ]  # fmt: skip
-        parts = ("slow", "quantization", "flicker")
-        by_dwell += [name for name in parts if getattr(self, name) is not None]
+        every = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "fitted"}
+        own: dict[str, Any] = {name: rows for name, rows in every.items() if isinstance(rows, np.ndarray)}
         return replace(
             self,
             conditions=self.conditions.rows(index),
             links=None if self.links is None else self.links.rows(np.arange(len(self))[index]),
             measurement=None if self.measurement is None else self.measurement.rows(index),
-            **{name: getattr(self, name)[index] for name in by_dwell},
+            **{name: rows[index] for name, rows in own.items()},
         )
 
     @cached_property
