@@ -15,7 +15,7 @@ from adis_gonio.base.conformity import ErrorCurve
 from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.tables import Entries, ParameterTable
+from adis_gonio.base.tables import ParameterTable
 from adis_gonio.base.uncertainty import Value, factor_over
 from adis_gonio.calibrate.calibration import Calibration, Coefficient
 from adis_gonio.fitting.determination import LIMIT, Determination, NoiseAssumptions, is_determined, names_of
@@ -318,13 +318,6 @@ class FitResult(ParameterTable):
 
     def __str__(self) -> str:
         return self.summary()
-
-    def caption_and_parameters(self) -> tuple[str, Entries]:
-        """Return the caption of the table in notebooks, and the parameters by name.
-
-        The caption names the method.
-        """
-        return f"fit by method {self.method}", self.as_dict()["parameters"].items()
 
     def as_dict(self) -> dict[str, Any]:
         """Return the JSON document that `adis-gonio fit --json` prints."""

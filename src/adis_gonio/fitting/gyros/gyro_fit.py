@@ -30,7 +30,7 @@ from adis_gonio.base.arrays import Floats, central_differences, solvable
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.tables import Entries, ParameterTable
+from adis_gonio.base.tables import ParameterTable
 from adis_gonio.base.uncertainty import INADEQUATE, Value
 from adis_gonio.calibrate.gyro_calibration import UNIT_OF, GyroCalibration, gyro_directions
 from adis_gonio.fitting.estimation.fit import Fit, adequacy
@@ -258,13 +258,6 @@ class GyroFit(ParameterTable):
         large = _larger(self.inflation)
         own = (f"the gyros' residual is larger than their noise ({large})",) if large else ()
         return (*own, *self.doubts)
-
-    def caption_and_parameters(self) -> tuple[str, Entries]:
-        """Return the caption of the table in notebooks, and the parameters by name.
-
-        The caption names the method.
-        """
-        return f"fit by method {self.method}", self.as_dict()["parameters"].items()
 
     def as_dict(self) -> dict[str, Any]:
         """Return the JSON document that `adis-gonio fit --sensor-part gyro --json` prints."""
