@@ -652,9 +652,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         added = {f"bias_{axis}": (now[k] - then[k]) * lsb_mg for k, axis in enumerate(AXES)}
         names = [f"bias_{axis}" for axis in AXES[: self.axes]]
         new = tuple(Coefficient(n, added[n], None, "mg") for n in names if added[n] and n not in self)
-        covariance = self.covariance
-        if covariance is not None:
-            covariance = np.pad(covariance, (0, len(new)))
+        covariance = None if self.covariance is None else np.pad(self.covariance, (0, len(new)))
         where = replace(self.provenance, offsets_lsb=now, written_lsb=None)
         # g-sensitivity of the gyros refers to the readings, which the offsets have moved.
         moved_g = (np.array(now) - np.array(then)) * lsb_mg / 1000

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
@@ -328,7 +329,7 @@ class SampleEffect(AxisEffect):
     within_dwell = True
 
     def samples_mg(
-        self, values: Floats, samples_mg: Floats, conditions: Conditions, rng: np.random.Generator
+        self, values: Floats, samples_mg: Floats, conditions: Conditions, rng: Generator
     ) -> Floats:
         """Return a copy of the samples (n, axes) in mg, with the columns of `axes` changed."""
         changed = samples_mg.copy()
@@ -337,9 +338,7 @@ class SampleEffect(AxisEffect):
         return changed
 
     @abstractmethod
-    def change(
-        self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
-    ) -> Floats:
+    def change(self, values: Floats, own_mg: Floats, conditions: Conditions, rng: Generator) -> Floats:
         """Return the changed samples of the axes in `axes`, (n, len(axes)) in mg.
 
         `own_mg` (n, len(axes)) are the samples before the change; `rng` is the source of random numbers.
@@ -359,9 +358,7 @@ class Saturation(SampleEffect):
     """The limit at which samples are clipped. The typical value is 1.7 g, the range of the ADIS16354; its
     14-bit numbers end at 3.83 g."""
 
-    def change(
-        self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
-    ) -> Floats:
+    def change(self, values: Floats, own_mg: Floats, conditions: Conditions, rng: Generator) -> Floats:
         """Return the samples clipped to ± the limit, (n, len(axes)) in mg."""
         return np.clip(own_mg, -values[0], values[0])
 
@@ -379,9 +376,7 @@ class Quantization(SampleEffect):
     common = (Parameter("lsb", "mg", 0.0, 100.0, 0.4672),)
     """The size of the converter's LSB; 0 leaves the samples unrounded."""
 
-    def change(
-        self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
-    ) -> Floats:
+    def change(self, values: Floats, own_mg: Floats, conditions: Conditions, rng: Generator) -> Floats:
         """Return the samples rounded to multiples of the LSB, (n, len(axes)) in mg."""
         step = float(values[0])
         return np.round(own_mg / step) * step if step > 0 else own_mg
@@ -404,9 +399,7 @@ class Tone(SampleEffect):
     )
     """Frequency, and phase at time 0 of the session."""
 
-    def change(
-        self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
-    ) -> Floats:
+    def change(self, values: Floats, own_mg: Floats, conditions: Conditions, rng: Generator) -> Floats:
         """Return the samples plus the sine wave, (n, len(axes)) in mg."""
         *amplitudes, frequency, phase = values
         turn = 2 * np.pi * frequency * conditions.time_s + np.deg2rad(phase)
@@ -430,9 +423,7 @@ class NoiseChange(SampleEffect):
     common = (Parameter("start", "s", 0.0, 1e6, 60.0, shape=True),)
     """Time in the session at which the noise begins."""
 
-    def change(
-        self, values: Floats, own_mg: Floats, conditions: Conditions, rng: np.random.Generator
-    ) -> Floats:
+    def change(self, values: Floats, own_mg: Floats, conditions: Conditions, rng: Generator) -> Floats:
         """Return the samples plus the noise that is added from the start time on, (n, len(axes)) in mg."""
         joined = (conditions.time_s >= values[-1])[:, None]
         noise: Floats = joined * rng.standard_normal(own_mg.shape) * values[:-1]
