@@ -1,6 +1,7 @@
 """Recording a free turn: archive, break and resume, CSV, command line."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from adis_gonio.fitting import fit
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.plans import Plan
+from adis_gonio.record.provenance import digest_of
 from adis_gonio.record.samples_writer import write_samples_csv
 from adis_gonio.record.source import Settings
 
@@ -157,6 +159,9 @@ def test_a_csv_of_it_without_positions_is_fitted_alike(recorded, tmp_path):
     assert theirs["delta_phi"].value == pytest.approx(
         ours["delta_phi"].value, abs=0.2 * ours["delta_phi"].u
     )
+    # A fleet counts sessions with equal digests once.
+    another = replace(session, recording=replace(session.recording, accel=-session.recording.accel))
+    assert digest_of(back) == digest_of(session) != digest_of(another)
 
 
 def test_every_export_of_samples_holds_the_turn(recorded, tmp_path):

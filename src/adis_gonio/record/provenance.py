@@ -145,11 +145,11 @@ def changed_registers(session: Session) -> list[str]:
 def digest_of(session: Session) -> str:
     """Return the SHA-256 digest of a session's data in hexadecimal digits.
 
-    The digest covers sensor, unit, plane and all dwells. An archive and the CSV exported from it have equal
-    digests.
+    The digest covers sensor, unit, plane and all dwells, or the recording of a free turn. An archive and
+    the CSV exported from it have equal digests.
     """
     digest = hashlib.sha256(f"{session.sensor} {session.accel_unit} {session.plane}".encode())
-    for dwell in session.dwells:
+    for dwell in session.sampled:
         digest.update(f"{dwell.angle_deg!r} {dwell.approach} {dwell.use} {len(dwell)}".encode())
         for series in (dwell.time_s, dwell.accel, dwell.temperature_c, dwell.supply_v):
             if series is not None:
