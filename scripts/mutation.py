@@ -107,6 +107,7 @@ def rooms() -> dict[str, Room]:
 
 ROOMS = rooms()
 
+NOT_ASKED = "not asked, since it fails without any mutant: "
 NOT_EXCHANGED = 98  # exit status of a child
 
 Place = tuple[int, int]  # line from 1, column from 0, in characters
@@ -504,7 +505,7 @@ def watched(
         for item, after in itertools.zip_longest(mine, mine[1:]):
             item.ihook.pytest_runtest_protocol(item=item, nextitem=after)
         part(share).write_bytes(pickle.dumps((dict(watch.cost_s), dict(watch.reached))))
-        print("".join(f"not asked, since it fails without any mutant: {name}\n" for name in watch.failed))
+        print("".join(f"{NOT_ASKED}{name}\n" for name in watch.failed))
         return 0
 
     def part(share: int) -> Path:
@@ -519,6 +520,8 @@ def watched(
         for child in children:
             if child.status() != 0:
                 raise SystemExit(f"the tests cannot be run:\n{child.text()[-3000:]}")
+            not_asked = [line for line in child.text().splitlines(keepends=True) if NOT_ASKED in line]
+            print("".join(not_asked), file=sys.stderr, flush=True)
         costs, reached = {}, {}
         for share in range(options.jobs):
             more_costs, more = pickle.loads(part(share).read_bytes())
