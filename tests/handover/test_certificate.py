@@ -122,6 +122,14 @@ def test_every_unit_of_the_catalogue_has_one_of_si_or_is_refused():
         certificate_text(odd)
 
 
+def test_the_factor_of_every_unit_follows_from_its_name():
+    g = 9.80665
+    parts = {"mg": g / 1000, "g": g, "g²": g**2, "g³": g**3, "ppm": 1e-6}
+    for name, (_, factor) in SI_UNITS.items():
+        above, _, below = name.partition("/")
+        assert factor == pytest.approx(parts.get(above, 1) / parts.get(below, 1), rel=1e-12), name
+
+
 def test_every_unit_is_read_by_the_reader_of_ptb():
     """dsiUnits parses the notation of D-SI; it gives the base units that the name of a unit means."""
     dsi_unit = pytest.importorskip("dsi_unit", reason="dsiunits is not installed (pip install '.[test]')")

@@ -107,6 +107,11 @@ def test_at_the_crossing_both_methods_have_one_error_of_delta_k():
         assert two == pytest.approx(nine)
 
 
+def test_the_true_delta_k_of_the_paper_is_the_difference_of_its_two_scale_errors():
+    true = true_values("x")
+    assert true["delta_k"] == pytest.approx(true["scale_error_x"] - true["scale_error_y"], abs=2e-4)
+
+
 def handmade(paper_deg, ours_deg):
     true = true_values("x")["non_orthogonality"]
     return {

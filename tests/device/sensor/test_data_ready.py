@@ -10,7 +10,7 @@ import pytest
 from adis_gonio.base.errors import ChipError
 from adis_gonio.bench.events import Configured, Problem
 from adis_gonio.bench.runner import SessionRunner
-from adis_gonio.device.bus import BusUrl, FrameBlock, FrameStream, serial
+from adis_gonio.device.bus import BusUrl, Capability, FrameBlock, FrameStream, serial
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.device.sensor.registers import ACCEL_OUT, ND
 from adis_gonio.device.sensor.scanning import JUDGED_SCANS, MASK, PolledScans, ScanLayout, StreamedScans
@@ -135,6 +135,13 @@ def test_without_the_wire_a_stream_polls_says_why_and_leaves_the_register(monkey
         with sensor.stream() as stream:
             assert stream.how.startswith("no data-ready edge arrives: polling")
     assert board.msc_ctrl == 0
+
+
+def test_a_bus_that_streams_but_does_not_count_edges_is_believed():
+    bus = SimBus(world=World(seed=SEED), stream=True)
+    bus.capabilities = frozenset({Capability.STREAM})
+    with Adis16354(bus) as sensor, sensor.stream() as stream:
+        assert isinstance(stream, StreamedScans)
 
 
 class Played(FrameStream):

@@ -592,6 +592,16 @@ def test_a_sleeping_part_wakes_at_a_pulse_and_works_on(sensor):
     assert len(sensor.read_scans(10)) == 10
 
 
+@pytest.mark.parametrize(("seconds", "halves"), [(0.5, 1), (5.0, 10), (127.5, 255)])
+def test_the_time_of_a_sleep_is_counted_in_half_seconds(seconds, halves):
+    sensor, bus = recorded()
+    sensor.sleep(seconds)
+    assert bus.writes[-1] == 0xBA00 | halves
+    for beyond in (0.2, 128.0):
+        with pytest.raises(UsageError, match=r"sleeps 0\.5 to 127\.5 s"):
+            sensor.sleep(beyond)
+
+
 def test_every_error_of_the_driver_is_one_line():
     for call in (
         lambda: open_sensor("sim:?seed=4", variant="adis16350"),

@@ -46,6 +46,19 @@ def test_the_log_names_registers_and_decodes_words(recorded: Path) -> None:
     assert any("reset" in row.value for row in written)
 
 
+def test_the_log_shows_addresses_without_a_register_and_answers_of_the_bus(tmp_path: Path) -> None:
+    path = tmp_path / "run.rec"
+    with RecordingBus(SimBus(World(seed=3)), path) as bus:
+        bus.exchange([0x1800, 0x0000])  # address 0x18 is reserved
+        bus.sleep_s(0.25)
+        edges = bus.read_event_counter()
+    rows = rows_of(path)
+    assert [row.register for row in rows if row.frame == 0x1800] == ["0x18"]
+    values = {row.action: row.value for row in rows}
+    assert values["sleep_s"] == "0.25"
+    assert values["read_event_counter"] == f" → {edges}"
+
+
 def test_the_log_finds_frames_that_break_a_rule_of_timing(tmp_path: Path) -> None:
     path = tmp_path / "bad.rec"
     bus = RecordingBus(SimBus(World(seed=1)), path)

@@ -20,6 +20,7 @@ from adis_gonio.device.sensor.settings import (
     decode_numbers,
     filter_settling_samples,
     join,
+    low_pass_3db_hz,
     sample_period_s,
     sens_avg_word,
     smpl_prd_for,
@@ -163,6 +164,17 @@ def test_a_gyro_range_refuses_too_little_filtering(dps, least):
 
 def test_settling_of_the_filter_is_the_data_sheets():
     assert [filter_settling_samples(m) for m in range(7)] == [1, 3, 7, 15, 31, 63, 127]
+
+
+@pytest.mark.parametrize("m", range(1, 7))
+def test_the_filter_halves_the_power_at_its_cut_off(m):
+    """The taps of a Bartlett filter are two boxcars, one over the other."""
+    box = np.full(2**m, 0.5**m)
+    taps = np.convolve(box, box)
+    cycles = low_pass_3db_hz(m, 100.0) / 100.0
+    gain = np.abs(np.sum(taps * np.exp(-2j * np.pi * cycles * np.arange(len(taps)))))
+    assert gain**2 == pytest.approx(0.5)
+    assert low_pass_3db_hz(0, 100.0) == 350.0  # data sheet: the poles of the front end
 
 
 def test_an_undefined_range_code_is_unknown_not_guessed():
