@@ -38,7 +38,7 @@ def information(case: Case) -> tuple[Floats, Floats, list[str]]:
         np.zeros(case.samples), case.filter_m, case.period_s, np.zeros(1), np.zeros(0, np.intp)
     ).below(float(grid[filter_response(case.filter_m, grid) >= PASSED].max()))
     likelihood = Likelihood(data, [k for k in range(len(KINDS)) if k not in has])
-    return likelihood.slope_and_information(truth)[1][np.ix_(has, has)], truth[has], kinds
+    return likelihood.derivatives(truth)[2][np.ix_(has, has)], truth[has], kinds
 
 
 def least(metric: Floats, drawn: Floats, low: Floats, fixed: int | None = None) -> Floats:

@@ -665,12 +665,13 @@ def fit_allan(session: Session, part: Part = "gyro", *, filter_m: int | None = N
     )
 
 
-def _flat(record: Floats) -> Floats:
-    """Subtract from samples (n,) the straight line that fits them best."""
+def _flat(record: Floats) -> tuple[Floats, float]:
+    """Subtract from samples (n,) the straight line that fits best; also return its slope per sample."""
     # Least squares slope against sample numbers about their middle.
     at = np.arange(len(record)) - (len(record) - 1) / 2
     centred = record - record.mean()
-    return np.asarray(centred - at * float(at @ centred) / float(at @ at), np.float64)
+    slope = float(at @ centred) / float(at @ at)
+    return np.asarray(centred - at * slope, np.float64), slope
 
 
 def _rounding(flat: Sequence[Floats], step: float, m: int) -> tuple[Floats, bool]:
@@ -724,8 +725,7 @@ def _widest(data: Ordinates, band: float, kinds: Sequence[Kind]) -> _Fitted:
 def _axis(rests: Rests, axis: int, m: int) -> AxisNoise:
     period_s, step = rests.period_s, float(rests.step[axis])
     columns = [record[:, axis] for record in rests.records]
-    slopes = [float(np.polyfit(np.arange(len(c)) - (len(c) - 1) / 2, c, 1)[0]) for c in columns]
-    flat = [_flat(column) for column in columns]
+    flat, slopes = zip(*map(_flat, columns), strict=True)
     rounding, coarse = _rounding(flat, step, m)
     # Above the highest fitted frequency (in cycles per sample) the filter passes too little power.
     grid = np.linspace(0.0, 0.5**m, 2049)
@@ -735,7 +735,7 @@ def _axis(rests: Rests, axis: int, m: int) -> AxisNoise:
     for record in flat:
         clean, own, masked = subtract_sinusoids(record, period_s, highest)
         lines.append(own)
-        parts.append(ordinates(_flat(clean) if own else record, m, period_s, rounding, masked))
+        parts.append(ordinates(_flat(clean)[0] if own else record, m, period_s, rounding, masked))
     quiet = _quiet(parts, highest)
     # If the chip's filter is on, quantization is not fitted.
     kinds = KINDS if m == 0 else KINDS[1:]
