@@ -56,6 +56,14 @@ def test_all_three_are_found_where_they_are():
         assert np.abs(z[axis.curve.dof > 4]).max() < 4
 
 
+def test_small_noise_has_intervals_in_proportion():
+    gyro = samples(WHITE, 7)
+    for axis, small in zip(known(WHITE, gyro).axes, known(WHITE, 1e-5 * gyro).axes, strict=True):
+        for one, other in zip(axis.parameters, small.parameters, strict=True):
+            ends = (one.profile.low, one.profile.high)
+            assert [1e5 * other.profile.low, 1e5 * other.profile.high] == pytest.approx(ends, rel=1e-4)
+
+
 def test_intervals_cover_and_absent_noise_is_claimed_no_more_often_than_said():
     case = Case({"white": 0.05, "flicker": 0.03}, 1 << 13, 0)
     inside = {"white": 0, "flicker": 0}

@@ -832,7 +832,8 @@ def profile(likelihood: Likelihood, theta: Floats, least: float, index: int) -> 
         others, deviance = likelihood.maximum(others, {index: squared})
         return math.sqrt(max(deviance - least, 0.0)) - math.sqrt(limit)
 
-    root = partial(optimize.brentq, beyond, rtol=1e-5)
+    # The squares may be far below SciPy's absolute tolerance.
+    root = partial(optimize.brentq, beyond, xtol=1e-300, rtol=1e-5)
     begin, top = (
         float(theta[index]),
         theta[index] + NORMAL_95 * max(u_squared, 1e-12 * likelihood.scale[index]),
