@@ -7,6 +7,7 @@ import sqlite3
 import tempfile
 import threading
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,9 @@ from adis_gonio.device.sensor.driver import DEFAULT_SCAN
 from adis_gonio.device.sensor.settings import ScanBlock
 from adis_gonio.record.archive import Archive, ArchiveView, is_archive
 from adis_gonio.record.archive_tables import APPLICATION_ID, Attempt, Header, Move, utc_now
-from adis_gonio.record.plans import plan
-from adis_gonio.record.session_reader import read_session
+from adis_gonio.record.blocks import WITHOUT_NEWS
+from adis_gonio.record.plans import Plan, Position, plan
+from adis_gonio.record.session_reader import GOES_ON, read_session
 from adis_gonio.record.source import Settings
 
 
@@ -58,6 +60,25 @@ def session_file(path: Path, places: int = 4) -> Path:
         for place in range(places):
             archive.add_attempt(attempt(place))
     return path
+
+
+def test_a_free_turn_counts_the_scans_that_it_lost_itself(tmp_path):
+    path = tmp_path / "a.session"
+    with begun(path, plan=Plan("free-turn", (Position(None, 0),), turns=2)) as archive:
+        archive.add_record("scanning", {"how": "polled", "caveat": "rows may mix updates"}, 100.0)
+        for seed, lost, ended, reason in (
+            (0, 70, "interrupted", "the cable"), (10, 1, "interrupted", GOES_ON), (20, 2, "complete", "")
+        ):  # fmt: skip
+            words = replace(block(seed, lost=lost), dropped=lost)
+            turn = Attempt(0, Position(None, 0), ended, utc_now(), seed, seed + 2.0, [("dwell", words)])
+            archive.add_attempt(replace(turn, reason=reason))
+    session = read_session(path)
+    assert len(session.recording) == 100
+    assert session.notes == (
+        "3 scans lost on the bus during the turn",
+        f"3 scans during the turn left out: {WITHOUT_NEWS}",
+        "rows may mix updates",
+    )
 
 
 def test_every_word_and_time_comes_back(tmp_path):

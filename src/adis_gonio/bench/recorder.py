@@ -6,7 +6,7 @@ whole turns on a table. All other parts of a session are common.
 A free turn is one continuous recording, from a rest through turns to a rest. Its plan has one place, and
 the whole recording is its dwell. Every few seconds a piece is archived as an attempt with the reason
 `GOES_ON`; the last attempt is complete or has the reason of the interruption. A kill or a power cut loses
-one piece at most. A resumed session asks for a new turn, and `record.session_reader.recording_of` chooses
+one piece at most. A resumed session asks for a new turn, and `record.session_reader` chooses
 the best one.
 """
 

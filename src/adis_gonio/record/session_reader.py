@@ -118,11 +118,10 @@ def _turn(number: int, blocks: list[Block], after: Attempt, turned_deg: float | 
     )
 
 
-def recording_of(view: ArchiveView) -> tuple[Dwell | None, str]:
-    """Return the recording of the last complete free turn of a session, and an empty text.
+def _turn_attempts(view: ArchiveView) -> tuple[list[Attempt], str]:
+    """Return the attempts that are the last complete free turn of a session, and an empty text.
 
-    If no free turn is complete, return the longest recording, and the reason why it was broken off. The
-    recording is None if no sample was recorded.
+    If no free turn is complete, return the longest one, and the reason why it was broken off.
     """
     chains: list[list[Attempt]] = [[]]
     for attempt in view.attempts():
@@ -134,18 +133,10 @@ def recording_of(view: ArchiveView) -> tuple[Dwell | None, str]:
     taken = view.withdrawn()
     chains = [chain for chain in chains if chain and chain[-1].number not in taken]
     whole = [chain for chain in chains if chain[-1].outcome == "complete"]
-    longest = max(chains, key=lambda c: c[-1].ended_bus_s - c[0].started_bus_s, default=None)
-    best = whole[-1] if whole else longest
-    if best is None:
-        return None, "nothing was recorded"
-    reason = "" if whole else best[-1].reason.replace(GOES_ON, "the program ended")
-    blocks = [(attempt, block) for attempt in best for block in view.blocks(attempt) if len(block)]
-    if not blocks:
-        return None, reason
-    columns = [session_columns(block) for _, block in blocks]
-    joined = {name: np.concatenate([c[name] for c in columns]) for name in columns[0]}
-    time_s = np.concatenate([block.time_s + attempt.offset_s for attempt, block in blocks])
-    return Dwell(0, time_s, **session_series(joined)), reason
+    if whole:
+        return whole[-1], ""
+    longest = max(chains, key=lambda c: c[-1].ended_bus_s - c[0].started_bus_s, default=[])
+    return longest, longest[-1].reason.replace(GOES_ON, "the program ended") if longest else ""
 
 
 def read_session(path: str | Path) -> Session:
@@ -175,7 +166,7 @@ def read_session(path: str | Path) -> Session:
             return _free_turn(path, view)
         if not stored:
             raise DataError(f"{path}: no dwell is complete yet; resume the session")
-        dropped = {r["value"]["attempt"]: r["value"]["scans"] for r in view.records("dropped")}
+        dropped = _dropped(view)
         joined = [join(view.blocks(attempt, "dwell")) for attempt in stored]
         facts = _facts(view) | {
             "complete": not pending,
@@ -203,20 +194,34 @@ def read_session(path: str | Path) -> Session:
 
 def _free_turn(path: str | Path, view: ArchiveView) -> Session:
     """Return the session of one continuous turn, with a note of the reason if it was broken off."""
-    recording, reason = recording_of(view)
-    if recording is None:
+    attempts, reason = _turn_attempts(view)
+    blocks = [(attempt, block) for attempt in attempts for block in view.blocks(attempt)]
+    parts = [(attempt, block, session_columns(block)) for attempt, block in blocks if len(block)]
+    if not parts:
         raise DataError(f"{path}: has no turn yet; resume the session")
-    lost = sum(block.lost for a in view.attempts() for block in view.blocks(a))
+    time_s = np.concatenate([block.time_s + attempt.offset_s for attempt, block, _ in parts])
+    columns = {name: np.concatenate([part[name] for _, _, part in parts]) for name in parts[0][2]}
     facts = _facts(view) | {"complete": not reason, "dwells": [], "broken_off": reason}
-    length_s = float(recording.time_s[-1] - recording.time_s[0])
     notes = [doubt["message"] for doubt in facts["doubts"]]
     if reason:
+        length_s = time_s[-1] - time_s[0]
         notes.append(
             f"the turn was broken off after {length_s:.0f} s: {reason}; --resume records a new one"
         )
-    if lost:
-        notes.append(f"{counted(lost, 'scan')} lost on the bus during the turn")
+    dropped = _dropped(view)
+    notes += _scan_notes(
+        facts,
+        sum(block.lost for _, block in blocks),
+        sum(dropped.get(attempt.number, 0) for attempt in attempts),
+        "during the turn",
+    )
+    recording = Dwell(0, time_s, **session_series(columns))
     return _session(path, view.header(), facts, notes, dwells=(), recording=recording, free_turn=True)
+
+
+def _dropped(view: ArchiveView) -> dict[int, int]:
+    """Return the number of scans that were left out of each attempt, by its number."""
+    return {r["value"]["attempt"]: r["value"]["scans"] for r in view.records("dropped")}
 
 
 def _facts(view: ArchiveView) -> JsonDict:
@@ -333,16 +338,17 @@ def _notes(plan: Plan, pending: Sequence[int], skipped: set[int], facts: JsonDic
     notes += [_doubtful(plan, doubt) for doubt in facts["doubts"]]
     if skipped:
         notes.append(f"skipped: {', '.join(str(plan.positions[place]) for place in sorted(skipped))}")
-    lost = sum(dwell["lost"] for dwell in dwells)
-    if lost:
-        notes.append(f"{counted(lost, 'scan')} lost on the bus within the dwells")
-    dropped = sum(dwell["dropped"] for dwell in dwells)
-    if dropped:
-        notes.append(f"{counted(dropped, 'scan')} within the dwells left out: {WITHOUT_NEWS}")
-    if facts["scanning"] and facts["scanning"]["caveat"]:
-        notes.append(facts["scanning"]["caveat"])
+    lost, dropped = (sum(dwell[name] for dwell in dwells) for name in ("lost", "dropped"))
+    notes += _scan_notes(facts, lost, dropped, "within the dwells")
     for number, dwell in enumerate(dwells):
         if dwell["alarms"] is not None:
             where = plan.positions[dwell["place"]]
             notes.append(f"dwell {number} ({where}): {Alarms(**dwell['alarms'])}")
     return tuple(notes)
+
+
+def _scan_notes(facts: JsonDict, lost: int, dropped: int, where: str) -> list[str]:
+    """Return remarks on numbers of lost and dropped scans, and on the way in which scans were read."""
+    notes = [f"{counted(lost, 'scan')} lost on the bus {where}"] if lost else []
+    notes += [f"{counted(dropped, 'scan')} {where} left out: {WITHOUT_NEWS}"] if dropped else []
+    return notes + ([facts["scanning"]["caveat"]] if (facts["scanning"] or {}).get("caveat") else [])
