@@ -164,8 +164,8 @@ def select(
     inflation = 1.0 if data.noise_known else max(base.chi2 / max(base.dof, 1), 1e-12)
     before: tuple[str, ...] | None = None
     for _ in range(rounds):
-        problem = linearise(about, terms)
-        bias = _large_bias(problem, base, about)
+        biases = linearise(about, [term for term in terms if term.constant])
+        bias = _large_bias(biases, base, about)
         if bias is not None:
             # A constant far larger than the rest of the residual must not become part of a function's form.
             terms = [t for t in terms if not (isinstance(t, NamelessTerm) and t.basis.with_constant)]
@@ -173,8 +173,8 @@ def select(
                 # The square of a large bias, b²/2G, may be many times the noise. Candidates are therefore
                 # judged about a fit with the bias; otherwise they would be chosen to explain the
                 # linearisation error.
-                about = fit_model(problem, [bias], about)
-            problem = linearise(about, terms)
+                about = fit_model(biases, [bias], about)
+        problem = linearise(about, terms)
         found, inflation = _search_with_noise(data, problem, max_terms, explored, inflation)
         problem = found.problem
         verdict, fit = _refit_best(problem, weigh(found), about, base.chi2)
