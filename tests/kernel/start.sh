@@ -3,6 +3,9 @@ export PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
 export HOME=/run/home TMPDIR=/run/home LC_ALL=C.UTF-8 PYTHONUNBUFFERED=1
 mkdir -m 1777 /run/home
 ip link set lo up 2>/dev/null
+# libiio's rule starts a shell and iio_info for each event of a USB device: half of all that the guest computed.
+mkdir -p /etc/udev/rules.d
+ln -s /dev/null /etc/udev/rules.d/90-libiio0.rules
 for udevd in /lib/systemd/systemd-udevd /usr/lib/systemd/systemd-udevd /usr/bin/udevadm; do
     [ -x "$udevd" ] && break
 done
