@@ -16,6 +16,8 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.model.effects import effect
 from adis_gonio.model.effects.base import lagged
 from adis_gonio.model.measurement import FreeAttitude, JointMeasurement, PlanarTurn, SessionOrigin
+from adis_gonio.model.records import Session
+from adis_gonio.tracing import joint_trace
 from adis_gonio.tracing.joint_trace import JointResult, stack, trace_sessions, trace_stacked
 from adis_gonio.tracing.linear_problem import Products, amplitudes, linearise, span
 from adis_gonio.tracing.model_search import Climb, Search
@@ -241,6 +243,16 @@ def test_the_command_traces_several_files_as_one_model(tmp_path, capsys) -> None
     capsys.readouterr()
     assert main(["trace", paths[0], str(copy)]) == 2
     assert "same samples" in capsys.readouterr().err
+
+
+def test_no_two_sessions_share_a_name(monkeypatch) -> None:
+    monkeypatch.setattr(joint_trace, "reduced", lambda session: session)
+    monkeypatch.setattr(joint_trace, "trace_stacked", lambda readings, origins, most: origins)
+    sessions = [
+        Session((), source=f"{name}.session", title=str(k)) for k, name in enumerate(("a/t", "b/t", "t-1"))
+    ]
+    monkeypatch.setattr(joint_trace, "digest_of", lambda session: session.title)
+    assert [one.label for one in trace_sessions(sessions)] == ["t-1", "t-2", "t-1-3"]
 
 
 @pytest.mark.parametrize(("parts", "stages"), [(1, 1), (3, 1), (7, 2)])

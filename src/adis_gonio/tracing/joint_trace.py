@@ -141,11 +141,11 @@ def trace_sessions(
         first[digest] = one.source
     if len(sessions) < 2:
         raise UsageError("a joint trace needs two sessions or more; use `trace` for one session")
-    # A name that occurs twice gets the number of the session.
     names = [PurePath(one.source).name.split(".")[0] or one.title or "session" for one in sessions]
+    if len(set(names)) < len(names):  # a name occurs twice: each gets the number of its session
+        names = [f"{name}-{k}" for k, name in enumerate(names, 1)]
     origins = [
-        SessionOrigin(name if names.count(name) == 1 else f"{name}-{k}", one.serial, one.stage)
-        for k, (name, one) in enumerate(zip(names, sessions, strict=True), 1)
+        SessionOrigin(name, one.serial, one.stage) for name, one in zip(names, sessions, strict=True)
     ]
     with limited_to(time_limit):
         return trace_stacked([reduced(one) for one in sessions], origins, max_effects)
