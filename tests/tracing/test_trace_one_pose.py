@@ -1,7 +1,10 @@
 """One pose: a zero that jumps or wanders is no effect, and effects are found beside such a zero."""
 
+from dataclasses import replace
+
 import pytest
 
+from adis_gonio.base.errors import FitError
 from adis_gonio.tracing.trace import trace
 from tracing.one_pose_sessions import CAUSES, one_pose
 
@@ -36,3 +39,10 @@ def test_two_courses_that_are_alike_share_the_probability():
 def test_a_jump_is_reported_on_its_axis():
     result = trace(one_pose("jump", 3))
     assert any(note.startswith("the bias changes without a recorded cause: ") for note in result.notes)
+
+
+def test_samples_of_one_time_are_refused_in_one_line():
+    session = one_pose("drift", 1)
+    dwell = replace(session.dwells[0], time_s=0 * session.dwells[0].time_s + 5.0)
+    with pytest.raises(FitError, match="all samples have one time"):
+        trace(replace(session, dwells=(dwell,)))

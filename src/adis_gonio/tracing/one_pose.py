@@ -115,7 +115,7 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
     Raises
     ------
     FitError
-        Too few samples, or no recorded condition that they could depend on.
+        Too few samples, all at one time, or no recorded condition that they could depend on.
     """
     dwell = next(dwell for dwell in session.dwells if len(dwell))
     where = f"{session.source}: " if session.source else ""
@@ -123,6 +123,10 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
         raise FitError(
             f"{where}one position with {counted(len(dwell), 'sample')} shows nothing to trace; measure at"
             f" least two positions, or at least {LEAST_ROWS} samples while the temperature changes"
+        )
+    if not np.ptp(dwell.time_s) > 0:
+        raise FitError(
+            f"{where}all samples have one time, so no drift can be seen: give their times (time_s)"
         )
     if dwell.temperature_c is None:
         raise FitError(
