@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -294,6 +295,27 @@ def test_a_first_dwell_at_a_wrong_place_can_be_undone_when_right_turns_look_wron
     assert right(sensor, path)
 
 
+def test_a_repeated_dwell_is_not_judged_by_the_one_that_it_replaces(sensor, path):
+    """The first dwell was made at 5°; the operator sees it and repeats it at 0°."""
+    wrong_first = lambda event, times: 5.0 if event.place == 0 and times == 0 else event.position.angle_deg  # noqa: E731
+    runner = SessionRunner.begin(sensor, path, plan("four-position"), QUICK, fixture_sigma_deg=0.02)
+    hand, turned_s = Hand(sensor, wrong_first, lambda event, times: "keep"), None
+    for event in runner.run(so_far=False):
+        if isinstance(event, PositionAsked) and event.place == 1 and turned_s is None:
+            hand.turn(0.0)
+            turned_s = hand.stage.still_at_s
+        elif turned_s is not None and isinstance(event, Watching) and event.state == "idle":
+            if sensor.bus.now_s() > turned_s + 0.3:
+                turned_s = math.inf
+                runner.repeat()
+            elif turned_s == math.inf:
+                hand.see(runner, event)
+        else:
+            hand.see(runner, event)
+    assert not hand.guards
+    assert right(sensor, path)
+
+
 # -- within a dwell --------------------------------------------------------------------------------------
 
 
@@ -426,6 +448,9 @@ def test_a_pose_that_is_not_new_and_one_the_other_way_up_are_told(sensor, path):
     for event in runner.run(so_far=False):
         if isinstance(event, PositionAsked):
             times = asked[event.place] = asked.get(event.place, 0) + 1
+            if event.place == 3 and times == 1:
+                runner.repeat()  # the same pose once more is not "not moved"
+                continue
             wanted = np.array(event.position.direction)
             if event.place == 4 and times == 1:
                 wanted = -wanted

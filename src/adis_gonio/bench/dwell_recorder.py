@@ -257,6 +257,8 @@ class DwellRecorder(Recorder):
         """
         recording = self._new_recording(place)
         self._kept_kinds, self._doubts = set(), []
+        if self._knowledge.judge is not None:
+            self._knowledge.judge.withdraw(place)  # a repeated dwell is not judged by the one it replaces
         if not (yield from self._go_to(recording)):
             return
         restarts = 0
@@ -489,7 +491,7 @@ class DwellRecorder(Recorder):
         turned = judge.turned(place, recording.position, mean_mg)
         if turned is not None:
             yield turned
-        guard = judge.settled(recording.position, mean_mg)
+        guard = judge.settled(place, recording.position, mean_mg)
         if guard is None and rested_mg is not None and not self._questions.auto:
             guard = judge_shift(mean_mg, rested_mg, limits.upper)
         if guard is None or guard.kind in self._kept_kinds:

@@ -330,14 +330,15 @@ class Judge:
         self.turning = Turning(longest_gap_s)
         self._rebuild()
 
-    def settled(self, position: Position, accel_mg: Floats) -> Guard | None:
+    def settled(self, place: int, position: Position, accel_mg: Floats) -> Guard | None:
         """Check by the reading `accel_mg` (3,) at rest that the sensor is at a position.
 
-        Returns the question to the operator, or None if the position is plausible.
+        `place` is the index of the position in the plan. Returns the question to the operator, or None if
+        the position is plausible.
         """
         if not self._planar or position.angle_deg is None:
             mean_mg, asked = None, None
-            if self._taken:
+            if self._taken and self._taken[-1].place != place:
                 mean_mg, asked = self._taken[-1].mean_mg, self._taken[-1].position.direction
             return judge_pose(accel_mg, position.direction, mean_mg, asked)
         guard = self._judge_level(accel_mg)
@@ -455,10 +456,9 @@ class Judge:
 
         If it is the newest dwell, the next turn is still measured from its position.
         """
-        last = self._taken[-1].place == place if self._taken else False
         kept = [entry for entry in self._taken if entry.place != place]
-        if last:
-            kept.append(replace(self._taken[-1], place=-1, doubted=True))
+        if self._taken and self._taken[-1].place == place:
+            kept.append(replace(self._taken[-1], doubted=True))
         self._taken = kept
         self._rebuild()
 
