@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from adis_gonio.base.errors import DataError
+from adis_gonio.base.errors import CannotOpenError, DataError
 from adis_gonio.bench.events import Finished, Problem, TurnDone, TurnProgress
 from adis_gonio.bench.guidance import turn_to_do
 from adis_gonio.bench.recorder import free_turn_plan
@@ -237,3 +237,21 @@ def test_options_that_do_not_belong_together_are_refused(options, message, tmp_p
     )
     assert answer.exit_code != 0
     assert message in str(answer.exception)
+
+
+def test_a_cable_that_is_pulled_after_the_turn_loses_none_of_its_scans(tmp_path, monkeypatch):
+    path, seen = tmp_path / "pulled.session", 0
+    with open_sensor(URL) as sensor:
+        running = runner(sensor, path)
+
+        def pulled():
+            raise CannotOpenError("the device is gone")
+
+        monkeypatch.setattr(sensor, "status", pulled)
+        with pytest.raises(CannotOpenError, match="is gone"):
+            for event in running.run(so_far=False):
+                seen = event.samples if isinstance(event, TurnProgress) else seen
+    with ArchiveView(path) as view:
+        attempts = view.attempts()
+        assert attempts[-1].reason == "the device is gone"
+        assert sum(len(block) for one in attempts for block in view.blocks(one)) == seen

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -365,6 +366,48 @@ def test_a_front_end_that_goes_away_keeps_the_samples(sensor, path):
         (stored,) = view.attempts()
         assert (stored.outcome, stored.reason) == ("interrupted", "the program ended")
     assert sensor.status() is not None  # the stream is closed, the bus is free
+
+
+@pytest.mark.parametrize("at", [-8, -7, -4])
+def test_a_ctrl_c_at_the_end_leaves_no_register_changed(path, at):
+    """The last calls of a session give back data-ready and the mark; Ctrl-C interrupts one of them."""
+
+    def session(path, last):
+        with open_sensor(URL) as sensor:
+            before = sensor.read_all()
+            exchange, calls = sensor.bus.exchange_array, []
+
+            def interrupted(frames):
+                calls.append(1)
+                replies = exchange(frames)
+                if len(calls) == last:
+                    raise KeyboardInterrupt
+                return replies
+
+            runner = SessionRunner.begin(sensor, path, plan(), SHORT, auto=True)
+            sensor.bus.exchange_array = interrupted
+            with contextlib.suppress(KeyboardInterrupt):
+                list(runner.run(so_far=False))
+            sensor.bus.exchange_array = exchange
+            return len(calls), {name: (before[name], sensor.read(name)) for name in ("MSC_CTRL", "ALM_MAG2")}
+
+    count, _ = session(path, None)
+    _, registers = session(path.with_name("b.session"), count + 1 + at)
+    assert registers == {"MSC_CTRL": (0, 0), "ALM_MAG2": (0, 0)}
+
+
+def test_a_ctrl_c_after_the_last_scan_of_a_dwell_keeps_its_samples(sensor, path, monkeypatch):
+    def interrupted(bench):
+        if sensor.bus.now_s() > 3.0:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(SessionBench, "checkpoint", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        list(SessionRunner.begin(sensor, path, plan(), SHORT, auto=True).run(so_far=False))
+    with ArchiveView(path) as view:
+        (attempt,) = view.attempts()
+        assert (attempt.outcome, attempt.reason) == ("interrupted", "the program ended")
+        assert sum(len(block) for block in view.blocks(attempt, "dwell")) == 819
 
 
 def test_lost_scans_are_counted_and_told(sensor, path, monkeypatch):

@@ -235,7 +235,8 @@ _ADD = archive.Archive.add_attempt
 def _forgetful_recording(self: Any, recording: Any) -> Any:
     broken = yield from self._scan(recording)
     if broken is None:
-        self._check_sensor(recording)
+        recording.status, recording.settings_lost = self._check_sensor()
+        self._bench.checkpoint()
     return broken
 
 

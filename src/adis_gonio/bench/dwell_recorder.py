@@ -22,7 +22,7 @@ from adis_gonio.bench.events import (
     Watching,
 )
 from adis_gonio.bench.guards import Guard, drift_guard, judge_dwell, judge_shift
-from adis_gonio.bench.recorder import BROKEN_STREAM, Recorder, why_broken_off
+from adis_gonio.bench.recorder import BROKEN_STREAM, Recorder
 from adis_gonio.bench.session_state import vector
 from adis_gonio.device.sensor.settings import ScanBlock, Status
 from adis_gonio.record.archive_tables import Attempt, Move, Outcome, Phase
@@ -332,26 +332,17 @@ class DwellRecorder(Recorder):
             rested_mg=rested_mg,
         )
 
-    def _check_sensor(self, recording: Recording) -> None:
-        """End the stream after a dwell, and read STATUS and the settings of the sensor."""
-        self._bench.close_stream()
-        self._ledger.scanning(self._bench.scanning)
-        recording.status = self._bench.source.status()
-        recording.settings_lost = self._bench.settings_lost()
-
     def _record(self, recording: Recording) -> Generator[Event, None, _Broken | None]:
         """Wait for stillness, record the dwell and check the sensor.
 
         If an error ends it, the scans so far are archived. Returns None, or the reason if the dwell was
         interrupted.
         """
-        try:
+        with self._archiving(lambda why: self._interrupted(recording, why)):
             broken = yield from self._scan(recording)
             if broken is None:
-                self._check_sensor(recording)
-        except BaseException as error:
-            self._interrupted(recording, why_broken_off(error))
-            raise
+                recording.status, recording.settings_lost = self._check_sensor()
+                self._bench.checkpoint()
         return broken
 
     def _scan(self, recording: Recording) -> Generator[Event, None, _Broken | None]:
@@ -433,7 +424,6 @@ class DwellRecorder(Recorder):
 
     def _complete(self, recording: Recording) -> Iterator[Event]:
         bench, ledger = self._bench, self._ledger
-        bench.checkpoint()
         if recording.settings_lost:
             yield self._interrupted(recording, recording.settings_lost)
             raise SessionError(f"{recording.position}: {recording.settings_lost}")

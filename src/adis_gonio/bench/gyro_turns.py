@@ -225,7 +225,8 @@ class GyroTurnsRecorder(DwellRecorder):
         rest = self._rest(before)
         position = self._ledger.plan.positions[place]
         turn = GyroTurn(place, position, wanted_deg, rest, self._bench.moment())
-        why = yield from self._record_turn(turn)
+        with self._archiving(lambda why: self._write(turn, "interrupted", why)):
+            why = yield from self._follow(turn)
         blocks = turn.blocks
         number = self._write(turn, "interrupted", why or TURNED)
         if why:

@@ -14,7 +14,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Generator, Iterator
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
 from typing import ClassVar
 
 from adis_gonio.base.arrays import wrap_degrees
@@ -23,6 +24,7 @@ from adis_gonio.base.numbers import counted
 from adis_gonio.bench.dialogue import Questions
 from adis_gonio.bench.events import Event, Problem, StageMoved, TurnDone, TurnProgress
 from adis_gonio.bench.session_bench import SessionBench
+from adis_gonio.device.sensor.settings import Status
 from adis_gonio.model.records import Sweeps
 from adis_gonio.record.archive_tables import Attempt, Move, Outcome, Phase
 from adis_gonio.record.blocks import Block
@@ -162,18 +164,26 @@ class Recorder(ABC):
     def take(self, place: int) -> Iterator[Event]:
         """Record the dwell or turn at index `place` of the plan."""
 
-    def _record_turn(self, turn: FollowedTurn) -> Generator[Event, None, str]:
-        """Record a turn until it ends; return the reason if it was broken off, else an empty text.
-
-        If an error ends it, the scans so far are archived.
-        """
+    @contextmanager
+    def _archiving(self, write: Callable[[str], object]) -> Iterator[None]:
+        """Context that archives the scans so far if an error ends it; `write` does so with the reason."""
         try:
-            return (yield from self._follow(turn))
+            yield
         except BaseException as error:
-            self._write(turn, "interrupted", why_broken_off(error))
+            write(str(error) if isinstance(error, AdisGonioError) else "the program ended")
             raise
 
+    def _check_sensor(self) -> tuple[Status | None, str]:
+        """End the stream after a recording; return STATUS and the message of `SessionBench.settings_lost`.
+
+        The message is empty if the settings of the sensor have not changed.
+        """
+        self._bench.close_stream()
+        self._ledger.scanning(self._bench.scanning)
+        return self._bench.source.status(), self._bench.settings_lost()
+
     def _follow(self, turn: FollowedTurn) -> Generator[Event, None, str]:
+        """Record a turn until it ends; return the reason if it was broken off, else an empty text."""
         begun = False
         for block in self._bench.scans():
             turn.add(block)
@@ -208,11 +218,6 @@ class Recorder(ABC):
         turn.blocks, turn.moves, turn.written_s = [], [], turn.length_s
         turn.began = self._bench.utc(), now_s
         return number
-
-
-def why_broken_off(error: BaseException) -> str:
-    """Return the reason, for the archive, why an error ended an attempt."""
-    return str(error) if isinstance(error, AdisGonioError) else "the program ended"
 
 
 DURATION_S = 60.0
@@ -332,18 +337,16 @@ class FreeTurnRecorder(Recorder):
         """Record the free turn and archive it as the dwell of `place`, the index of its position (0)."""
         bench, ledger = self._bench, self._ledger
         turn = FreeTurn(place, max(ledger.plan.turns, 1), bench.settings.dwell_s, bench.moment())
-        why = yield from self._record_turn(turn)
-        bench.close_stream()
-        ledger.scanning(bench.scanning)
+        with self._archiving(lambda why: self._write(turn, "interrupted", why)):
+            why = yield from self._follow(turn)
+            status, changed = self._check_sensor()
+        if why or changed:
+            self._write(turn, "interrupted", why or changed)
         if why:
-            self._write(turn, "interrupted", why)
             yield ledger.problem(Problem("stillness", f"the turn was broken off: {why}", place))
             return
-        status = bench.source.status()
-        settings = bench.settings_lost()
-        if settings:
-            self._write(turn, "interrupted", settings)
-            raise SessionError(settings)
+        if changed:
+            raise SessionError(changed)
         number = self._write(turn, "complete", "", None if status is None else status.word)
         ledger.use_attempt(place, number)
         ledger.recorded_s = turn.length_s  # the recording ends with the turns

@@ -368,14 +368,14 @@ class ChipSource(SampleSource):
 
     def give_back(self) -> None:
         """Restore the data-ready bits and the alarm level used as a mark; may be called twice."""
-        loan, self._loan = self._loan, None
-        marked, self._marked = self._marked, None
         try:
-            if loan is not None:
-                loan.give_back()
+            if self._loan is not None:
+                self._loan.give_back()
+                self._loan = None
         finally:
-            if marked is not None and self.sensor.read(marked[0]) == MARK:
-                self.sensor.write(*marked)
+            if self._marked is not None and self.sensor.read(self._marked[0]) == MARK:
+                self.sensor.write(*self._marked)
+            self._marked = None
 
     def mark_restart(self) -> None:
         """Write the number `MARK` to the level of an unused alarm; a restart of the chip erases it.
@@ -389,9 +389,8 @@ class ChipSource(SampleSource):
         for number in (2, 1):
             if not word & control.field(f"source{number}").mask:
                 name = f"ALM_MAG{number}"
-                before = self.sensor.read(name)
+                self._marked = (name, self.sensor.read(name))
                 self.sensor.write(name, MARK)
-                self._marked = (name, before)
                 return
 
     def settings_held(self, *, checked: bool = False) -> dict[str, int]:

@@ -214,8 +214,8 @@ class DataReadyLoan:
         if self._sensor.bus.edge_rises == (self.edge == "first"):
             ours |= _POLARITY
         if ours != self._ours:
+            self._ours = ours  # before the write, which may be interrupted
             self._set(ours)
-            self._ours = ours
 
     def _set(self, bits: int) -> None:
         sensor = self._sensor
