@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from adis_gonio.base.errors import UsageError
+from adis_gonio.base.errors import SessionError, UsageError
 from adis_gonio.bench.dialogue import KEPT_S
 from adis_gonio.bench.events import (
     ExtensionOffered,
@@ -315,6 +315,21 @@ def test_a_turn_beyond_the_range_stops_with_its_rate(tmp_path):
     _, operator, _ = by_hand(tmp_path, None, url="sim:?seed=3&move_speed_dps=230")
     assert operator.guards[0].kind == "over_range"
     assert "beyond its range of ±300 °/s" in operator.guards[0].message
+
+
+def test_gyros_that_show_no_turn_end_an_automatic_session_in_one_line(tmp_path, monkeypatch):
+    monkeypatch.setattr("adis_gonio.bench.gyro_turns.PATIENCE_S", 15.0)
+    with open_sensor("sim:?seed=3") as sensor:
+        sample = sensor.bus.world.sample
+
+        def dead(time_s):
+            inputs = sample(time_s)
+            return replace(inputs, gyro_dps=np.zeros_like(inputs.gyro_dps))
+
+        sensor.bus.world.sample = dead
+        runner = SessionRunner.begin(sensor, tmp_path / "dead.session", PLAN, QUICK, auto=True)
+        with pytest.raises(SessionError, match="no whole turn within 15 s; check the table and the gyros"):
+            list(runner.run(so_far=False))
 
 
 def test_a_part_on_the_wrong_face_is_asked_again(tmp_path):

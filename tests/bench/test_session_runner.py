@@ -389,7 +389,9 @@ def test_a_ctrl_c_at_the_end_leaves_no_register_changed(path, at):
             with contextlib.suppress(KeyboardInterrupt):
                 list(runner.run(so_far=False))
             sensor.bus.exchange_array = exchange
-            return len(calls), {name: (before[name], sensor.read(name)) for name in ("MSC_CTRL", "ALM_MAG2")}
+            return len(calls), {
+                name: (before[name], sensor.read(name)) for name in ("MSC_CTRL", "ALM_MAG2")
+            }
 
     count, _ = session(path, None)
     _, registers = session(path.with_name("b.session"), count + 1 + at)

@@ -26,6 +26,8 @@ KEPT_S = 120.0
 
 It is enough for a turn and the rests before and after it.
 """
+MOST_JOINED = 40_000
+"""Largest number of scans in a joined block, which has to fit into a row of the archive."""
 
 
 class Reply(StrEnum):
@@ -159,13 +161,14 @@ class Questions:
         self._scanned: list[Block] = []
 
     def take_scanned(self) -> list[Block]:
-        """Return the scans read during the last question, as a list with one block.
+        """Return the scans read during the last question, as a list of blocks.
 
-        The list is empty if no scans were kept: they are kept if turns are recorded. They are joined to one
-        block, because many short blocks would make the file half as large again.
+        The list is empty if no scans were kept: they are kept if turns are recorded. They are joined to
+        long blocks, because many short blocks would make the file half as large again.
         """
         seen, self._scanned = self._scanned, []
-        return [join(seen)] if seen else []
+        size = max(1, MOST_JOINED // max(map(len, seen), default=1))
+        return [join(seen[at : at + size]) for at in range(0, len(seen), size)]
 
     @property
     def stopped(self) -> bool:

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.errors import UsageError
+from adis_gonio.base.errors import SessionError, UsageError
 from adis_gonio.base.numbers import signed
 from adis_gonio.bench.dialogue import Reply
 from adis_gonio.bench.dwell_recorder import DwellRecorder
@@ -231,6 +231,8 @@ class GyroTurnsRecorder(DwellRecorder):
         number = self._write(turn, "interrupted", why or TURNED)
         if why:
             yield DwellInterrupted(place, position, number, 0, why)
+            if self._questions.auto and not self._questions.interrupted:
+                raise SessionError(f"{position}: {why}; check the table and the gyros, then resume")
             return False
         yield replace(turn.done(), turns=round(abs(turn.turned_deg) / 360.0))
         return (yield from self._judged(turn, rest, blocks))

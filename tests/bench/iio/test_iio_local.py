@@ -15,9 +15,13 @@ from adis_gonio.base.errors import (
     UsageError,
 )
 from adis_gonio.bench import iio_devices
+from adis_gonio.bench.events import GuardRaised, Watching
 from adis_gonio.bench.iio_source import NO_FAULTS, find_devices
+from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.faces.cli import main
+from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
+from adis_gonio.record.plans import plan
 from adis_gonio.record.source import Settings, open_source
 from bench.iio.fake_libiio import NAME, OFFSET, SCALE, FakeDevice, FakeLibiio
 
@@ -230,3 +234,22 @@ def test_a_rate_that_no_device_has_is_refused(device, rate):
     set_attribute("sampling_frequency", rate)(device)
     with pytest.raises(CannotOpenError, match=r"samples a second|sampling_frequency"):
         open_source(url_of())
+
+
+def test_a_long_question_at_a_fast_sensor_is_archived_whole(monkeypatch, tmp_path):
+    """At 100 000 scans a second the scans of one question exceed the largest row of the archive."""
+    present(monkeypatch, tmp_path, FakeDevice(rate_hz=1e5))
+    path, shown = tmp_path / "fast.session", 0
+    with open_source(url_of()) as source:
+        settings = Settings(dwell_s=0.1, settle_s=0.05, turns=True)
+        runner = SessionRunner.begin(source, path, plan("poses", 9), settings)
+        for event in runner.run(so_far=False):
+            shown += isinstance(event, Watching) and event.state == "idle"
+            if shown == 30 and isinstance(event, Watching):
+                runner.confirm()
+                shown += 1
+            if isinstance(event, GuardRaised):
+                runner.stop()
+    with ArchiveView(path) as view:
+        (attempt,) = view.attempts()  # the device lies another way than asked
+        assert sum(len(block) for block in view.blocks(attempt, "before")) > 100_000
