@@ -240,7 +240,7 @@ def test_options_that_do_not_belong_together_are_refused(options, message, tmp_p
 
 
 def test_a_cable_that_is_pulled_after_the_turn_loses_none_of_its_scans(tmp_path, monkeypatch):
-    path, seen = tmp_path / "pulled.session", 0
+    path, events = tmp_path / "pulled.session", []
     with open_sensor(URL) as sensor:
         running = runner(sensor, path)
 
@@ -249,9 +249,8 @@ def test_a_cable_that_is_pulled_after_the_turn_loses_none_of_its_scans(tmp_path,
 
         monkeypatch.setattr(sensor, "status", pulled)
         with pytest.raises(CannotOpenError, match="is gone"):
-            for event in running.run(so_far=False):
-                seen = event.samples if isinstance(event, TurnProgress) else seen
+            events.extend(running.run(so_far=False))
     with ArchiveView(path) as view:
         attempts = view.attempts()
         assert attempts[-1].reason == "the device is gone"
-        assert sum(len(block) for one in attempts for block in view.blocks(one)) == seen
+        assert sum(len(block) for one in attempts for block in view.blocks(one)) == events[-1].samples
