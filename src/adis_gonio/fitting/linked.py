@@ -632,7 +632,7 @@ def _settled(found: GyroLinks, links: Links, data: Readings) -> tuple[Links, det
 
     Return the links, linearised at the last parameters, and the fit.
     """
-    size = np.maximum(np.sqrt(np.diagonal(found.prior.covariance)), 1e-12)
+    size = np.sqrt(np.maximum(np.diagonal(found.prior.covariance), 1e-24))
     values = found.prior.values
     linked = determination.determine(replace(data, links=links))
     for _ in range(4):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -57,6 +58,15 @@ def test_sound_gyros_are_not_accused():
 def test_one_sample_a_dwell_is_refused_for_what_it_is():
     with pytest.raises(DataError, match="one sample of the gyros each"):
         fit(session(rows=1), part="gyro")
+
+
+def test_averages_repeated_in_a_dwell_are_refused_unless_the_part_has_a_figure():
+    own = session()
+    means = [replace(one, gyro=np.tile(one.gyro.mean(axis=0), (len(one), 1))) for one in own.dwells]
+    averaged = replace(own, dwells=tuple(means))
+    assert fit(averaged, part="gyro").chi2 < 100
+    with pytest.raises(DataError, match="gyro x is constant within each dwell and differs between"):
+        fit(replace(averaged, sensor="generic"), part="gyro")
 
 
 def test_numbers_in_a_row_are_told_as_such():

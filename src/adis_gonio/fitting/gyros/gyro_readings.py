@@ -183,8 +183,16 @@ def gyro_dwells_of(session: Session) -> GyroDwells:
     for dwell, gyro in zip(dwells, rows, strict=True):
         if not np.isfinite(gyro).all():
             raise DataError(f"{source}: the gyros of position {dwell.position} hold NaN or infinity")
-    noise = noise_of_means(rows, scale)
     variant = VARIANTS.get(session.sensor)
+    constant = ~np.any([np.ptp(row, axis=0) > 0 for row in rows], axis=0)
+    averaged = constant & (np.ptp([row[0] for row in rows], axis=0) > 0)
+    if variant is None and averaged.any():
+        axis = AXES[int(averaged.argmax())]
+        raise DataError(
+            f"{source}: gyro {axis} is constant within each dwell and differs between"
+            " dwells: repeated averages do not show their noise; give all samples"
+        )
+    noise = noise_of_means(rows, scale)
     stated = 0.0 if variant is None else variant.performance.gyro_instability_dps**2
     allan = flicker_of(noise, stated)
     configuration = session.facts.get("configuration") or {}
