@@ -333,10 +333,8 @@ def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
     if scored:
         drifts = {name: _Model.of(data, (*_EFFECTS, drift)) for name, drift in DRIFTS.items()}
         models |= {name: one for name, one in drifts.items() if one.fit.dof > 0}
-    # Errors (n, 3) with which models predict left-out dwells; a model is missing if it is not determined.
-    tried = {"zero rate": _Model.of(data, ()), **models} if scored and len(data) > 2 else {}
-    left = {name: _left_out(one) for name, one in tried.items()}
-    errors = {name: own for name, own in left.items() if own is not None}
+    many = scored and len(data) > 2
+    errors = _left_out({"zero rate": _Model.of(data, ()), **models}) if many else {}
     models = {name: one.settled() for name, one in models.items()}
     odds = _odds({name: errors[name] for name in models if name in errors})
     best = models[METHOD]
@@ -601,16 +599,23 @@ def gains_and_directions(names: Sequence[str], values: Floats) -> Floats:
 # -- scores and warnings ----------------------------------------------------------------------------------
 
 
-def _left_out(model: _Model) -> Floats | None:
-    data, residuals = model.data, []
-    for row in model.rests.tolist():
-        kept = np.arange(len(data)) != row
-        rest = replace(model, data=data.rows(kept))
-        if rest.narrowed({}) is not rest:
-            return None
-        held = data.rows(~kept)
-        residuals.append(replace(rest.fit, data=held, values=rest.fit.on(held).values).misfit[0])
-    return np.array(residuals)
+def _left_out(models: Mapping[str, _Model]) -> dict[str, Floats]:
+    """Return the errors (n, 3) with which models of the same readings predict left-out dwells.
+
+    A model is missing if the other dwells do not determine it.
+    """
+    first, errors = models[METHOD], {name: np.zeros((0, 3)) for name in models}
+    for row in first.rests.tolist():
+        apart = np.arange(len(first.data)) == row
+        rest, held = first.data.rows(~apart), first.data.rows(apart)
+        for name in list(errors):
+            model = replace(models[name], data=rest)
+            if model.narrowed({}) is not model:
+                del errors[name]
+                continue
+            error = replace(model.fit, data=held, values=model.fit.on(held).values).misfit
+            errors[name] = np.concatenate([errors[name], error])
+    return errors
 
 
 def _score(errors_dps: Floats) -> dict[str, Any]:
