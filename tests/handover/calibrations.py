@@ -83,9 +83,9 @@ def calibration(
     )
 
 
-def of_counts() -> Calibration:
-    """Readings in counts: 2.5 to a mg and zeros at 300 and −120."""
-    counts = {**PLANE, "bias_x": 300.0, "bias_y": -120.0}
+def of_counts(zero: float = 300.0) -> Calibration:
+    """Readings in counts: 2.5 to a mg and zeros at `zero` and −120."""
+    counts = {**PLANE, "bias_x": zero, "bias_y": -120.0}
     per_mg = (2.5, 2.4)
     for axis, own in zip("xy", per_mg, strict=True):
         counts[f"scale_{axis}"] = PLANE[f"scale_{axis}"] * own * 1000 / 9.80665

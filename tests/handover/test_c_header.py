@@ -226,6 +226,11 @@ def test_what_a_firmware_cannot_solve_is_refused():
         c_header(calibration(PLANE, {"quadratic": (99.0, 99.0), "cubic": (99.0, 99.0)}))
     with pytest.raises(FitError, match="gains are too far from 1"):
         c_header(calibration({**PLANE, "scale_x": 0.3}))
+    # The zero of a converter of 24 bits without a sign; a scan holds 256 times its counts in 32 bits.
+    with pytest.raises(FitError, match="exceed the 24 bits"):
+        c_header(of_counts(zero=2.0**23))
+    with pytest.raises(FitError, match="exceed the 24 bits"):
+        c_header(calibration({**PLANE, "bias_x": 1e14}))
 
 
 def test_without_noise_no_u_is_claimed():

@@ -193,7 +193,18 @@ def polynomial_of(calibration: Calibration) -> Polynomial:
         raise FitError(
             "gains are too far from 1 for a fixed-point header: is the unit of the readings right?"
         )
+    _check_words(made)
     return made
+
+
+def _check_words(made: Polynomial) -> None:
+    """Raise `FitError` if readings within the range exceed the 32 bits of a number in the header."""
+    largest = np.abs(made.bias) + made.limit / np.array(made.step)
+    if (largest >= 2.0**31).any():
+        raise FitError(
+            f"readings up to {largest.max() / PARTS:.3g} counts exceed the 24 bits of a header's scan:"
+            " subtract their zero, or record them in a larger unit"
+        )
 
 
 _TRIALS = 8
@@ -374,7 +385,7 @@ def rate_polynomial_of(calibration: Calibration, gyro: GyroCalibration) -> Polyn
             warm[own] = 1e-6 * one.value * SPAN_C
     if max(map(abs, warm)) > 0.5:
         raise FitError("a gyro's gain follows the temperature too much: check the session")
-    return Polynomial(
+    made = Polynomial(
         words=polynomial.words,
         q=RATE_Q,
         limit=LIMIT_DPS,
@@ -386,3 +397,5 @@ def rate_polynomial_of(calibration: Calibration, gyro: GyroCalibration) -> Polyn
         | dict(polynomial.inputs),
         warm=tuple(warm),
     )
+    _check_words(made)
+    return made
