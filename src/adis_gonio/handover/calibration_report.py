@@ -125,7 +125,7 @@ def certificate_section(
         ],
         notes=[
             f"Method {answer.title}. U = k·u covers 95 %. The errors apply to the mean of many readings; "
-            "they are traceable to the declared angles of the stage only. The annex follows.",
+            "they are traceable to the stated gravity and to declared angles only. The annex follows.",
             *answer.remarks,
         ],
         sheet=True,
