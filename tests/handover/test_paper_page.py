@@ -76,9 +76,9 @@ def test_the_command_writes_page_and_document(small, page, monkeypatch, tmp_path
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["--sessions", "1"], "--sessions is 1: take 2 to"),
+        (["--sessions", "1"], "1 is not in the range 2<=x<=10000"),
         (["--sessions", "many"], "--sessions"),
-        (["--seed", "-1"], "--seed is -1: take 0 or more"),
+        (["--seed", "-1"], "-1 is not in the range x>=0"),
         (["-o", "no/such/folder/page.html"], "there is no folder"),
         (["--session", "3"], "--session"),
         (["3"], "3"),

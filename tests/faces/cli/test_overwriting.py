@@ -20,7 +20,7 @@ OUTPUTS = {
     "export": (["export", "SESSION"], "x.txt"),
     "template": (["template"], "x.csv"),
     "simulate": (["simulate", "--plan", "two-position", "--dwell", "0.5"], "x.csv"),
-    "paper": (["paper", "--sessions", "1"], "x.html"),
+    "paper": (["paper", "--sessions", "2"], "x.html"),
 }
 QUICK = ("stream", "plan", "export", "template", "simulate", "fleet")
 

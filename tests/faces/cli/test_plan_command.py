@@ -108,7 +108,7 @@ def test_simulate_and_template_take_the_file_too(made, tmp_path):
         (["--plan", "tumbel"], "did you mean 'tumble'"),
         (["--plan", "none.json"], "none.json: cannot be read"),
         (["--positions", "8", "-o", "best.txt"], "name it .json"),
-        (["--positions", "8", "--seed", "-1"], "seed is -1"),
+        (["--positions", "8", "--seed", "-1"], "-1 is not in the range x>=0"),
         (["--positions", "8", "--check", "1"], "--check: goes with --plan"),
         (["--positions", "8", "--sensor", "adis9"], "adis9"),
         (["--positions", "8", "--fixture", "free"], "fixture is inf"),

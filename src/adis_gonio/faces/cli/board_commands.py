@@ -63,7 +63,7 @@ def bringup_command(
     if recordings and not (url or output or allow_writes or flash or yes):
         return _judge(recordings, variant, as_json=as_json)
     if recordings or url is None:
-        raise UsageError("give the URL of a board, or --from FILE with at most --variant and --json")
+        raise UsageError("give the URL of a board, or --from FILE with at most --sensor and --json")
     option.refuse(() if allow_writes else ("flash", "yes"), "goes with --allow-writes")
     _require_terminal(allow_writes and not yes, "--allow-writes asks before each step")
     files = () if output is None else _report_files(output)

@@ -10,7 +10,7 @@ import click
 
 from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.output import exists_error
+from adis_gonio.base.output import check_output
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import WIDTH, console, print_json, report_progress, say
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
@@ -150,9 +150,9 @@ def calibrate_command(
     from adis_gonio.record.source import refuse_chip_options
 
     option.check_session_name(output)
+    cure = "--resume goes on with it, --force keeps it under another name"
+    check_output(output, force=force or resume, cure=cure)
     if output.exists() and not resume:
-        if not force:
-            raise exists_error(output, "--resume goes on with it, --force keeps it under another name")
         click.echo(f"{output}: renamed to {set_aside(output)}", err=True)
     if resume and not output.exists():
         raise SessionError(f"{output}: no such session to resume")

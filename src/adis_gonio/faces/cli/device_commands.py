@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -254,7 +255,10 @@ def _parse_number(sensor: Adis16354, row: Register, text: str) -> int:
     lsb, zero, own = sensor.variant.lsb(row.kind, sensor.configuration().gyro_range_dps or 300)
     if not own or _UNITS.get(unit.lower(), unit) != own:
         raise UsageError(f"{row.name}={text}: its unit is {own or 'none'}, not {unit}")
-    return round((float(number) - zero) / lsb)
+    value = (float(number) - zero) / lsb
+    if not math.isfinite(value):
+        raise UsageError(f"{row.name}={text}: no register holds so large a number")
+    return round(value)
 
 
 def _show_registers(

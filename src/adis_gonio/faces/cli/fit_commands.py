@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     "--monte-carlo", "trials", type=click.IntRange(min=100), metavar="N",
     help="Also propagate the input distributions by N trials (GUM Supplement 1).",
 )  # fmt: skip
-@option.with_default("--seed", type=int, default=1, help="Seed of the trials.")
+@option.seed(1, "Seed of the trials.")
 @option.part()
 @option.file(
     "--calibration",

@@ -31,7 +31,10 @@ if TYPE_CHECKING:
     "--format", "kind", type=click.Choice(list(BY_NAME)),
     help="Format (default: by the ending of the file).",
 )  # fmt: skip
-@option.output("File to write; - is standard output.")
+@option.output(
+    "File to write; - is standard output.",
+    paths=lambda given: () if given == option.STANDARD_OUTPUT else (given,),
+)
 @click.option("--method", help="Method of the coefficients (default: the recommended one).")
 @option.flag("--trace", "traced", help="Export the coefficients of the traced model.")
 @click.option("--name", help="C header: prefix of every name in it.  [default: adis_gonio]")
@@ -63,7 +66,7 @@ def export_command(
     from adis_gonio.base.output import replacing
     from adis_gonio.handover.session_export import ExportSource
 
-    to_file = output is not None and output != Path(option.STANDARD_OUTPUT)
+    to_file = output is not None and output != option.STANDARD_OUTPUT
     if kind is None and not to_file:
         raise UsageError(
             "no file and no format: give -o FILE with an ending such as .h or .json, or --format"
@@ -107,8 +110,10 @@ export_command.help = cleandoc(export_command.help or "").replace("FORMATS", "\n
 @option.command("paper")
 @option.output("Page to write.")
 @option.json
-@option.with_default("--seed", type=int, default=0, help="Seed of all random numbers.")
-@option.with_default("--sessions", type=int, default=10, help="Simulated parts of each kind.")
+@option.seed()
+@option.with_default(
+    "--sessions", type=click.IntRange(2, 10_000), default=10, help="Simulated parts of each kind."
+)
 def paper_command(*, output: Path | None, as_json: bool, seed: int, sessions: int) -> None:
     """Reproduce the seed paper: its table 1, its figure 3, and when its method beats MMPM.
 

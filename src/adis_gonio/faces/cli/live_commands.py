@@ -25,6 +25,7 @@ from adis_gonio.faces.cli.show import say
 from adis_gonio.faces.cli.terminal import Interrupt
 from adis_gonio.live.live_angle import LiveAngle, live_angles, open_live
 from adis_gonio.live.motion_model import LAG_S
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.record.blocks import Block, count_alarms
 from adis_gonio.record.source import SampleStream, Settings, has_frames, open_source, refuse_chip_options
 
@@ -67,10 +68,7 @@ MISFIT = (
 @click.option(
     "--range", "range_dps", type=int, metavar="DPS", help="Range of the gyros: 300, 150 or 75 °/s."
 )
-@option.with_default(
-    "--gravity", "gravity_mps2", type=float, default=9.80665, metavar="M/S²",
-    help="Local gravity for the file.",
-)  # fmt: skip
+@option.gravity("Local gravity in m/s² for the file.", default=STANDARD_GRAVITY_MPS2, show_default=True)
 @option.flag("--leave-registers", help="Write nothing; use data-ready only if it is already enabled.")
 @option.poll
 @option.variant

@@ -162,7 +162,7 @@ def check_session_name(path: Path) -> None:
         raise UsageError(f"{path}: becomes a session file: name it {path.stem}.session")
 
 
-STANDARD_OUTPUT = "-"
+STANDARD_OUTPUT = Path("-")
 
 
 def output(
@@ -196,7 +196,9 @@ def output(
 
             given = arguments[name]
             inputs = [value for key, value in arguments.items() if key != name and isinstance(value, Path)]
-            for path in () if given in (None, Path(STANDARD_OUTPUT)) else paths(given):
+            for path in () if given is None else paths(given):
+                if path == STANDARD_OUTPUT:
+                    raise UsageError("-o -: only export writes to standard output; name a file")
                 check_output(path, force=force)
                 if any(path.exists() and one.exists() and path.samefile(one) for one in inputs):
                     raise UsageError(f"{path}: the command reads this file; name another one for -o")
@@ -253,6 +255,11 @@ def part(default: str = "accelerometer") -> Option[Any]:
     return with_default(
         "--sensor-part", "part", type=parts, default=default, help="Part of the sensor to use."
     )
+
+
+def seed(default: int = 0, help: str = "Seed of all random numbers.") -> Option[Any]:
+    """Return the option `--seed` for a whole number from 0, with this default and help text."""
+    return with_default("--seed", type=click.IntRange(min=0), default=default, help=help)
 
 
 def time_limit(help: str) -> Option[Any]:

@@ -74,7 +74,7 @@ if TYPE_CHECKING:
 @option.filter
 @option.gravity()
 @option.with_default("--sensor", default="adis16354", help="adis16354, adis16350 or adis16355.")
-@option.with_default("--seed", type=int, default=1, help="Seed of the search.")
+@option.seed(1, "Seed of the search.")
 @option.output("Plan file to write, for calibrate --plan FILE.")
 @option.json
 def plan_command(
@@ -150,8 +150,6 @@ def _search(
     if given > 1 or (not given and tolerance is None):
         raise UsageError("give one of --positions, --tolerance and --minutes, or --plan to evaluate one")
     option.refuse(("check",), "goes with --plan; calibrate --plan FILE --check adds them to a plan file")
-    if seed < 0:
-        raise UsageError(f"seed is {seed}: take 0 or more")
     names = tuple(name.strip() for name in beware.split(",") if name.strip())
     best = best or ("tell-apart" if names else "angle")
     if not given and tolerance is not None:
@@ -245,7 +243,7 @@ def _setting_rows() -> list[tuple[str, str]]:
 @option.with_default("--plan", "plan_name", default="four-position", help="A plan by name, or a plan file.")
 @option.positions
 @option.check
-@option.with_default("--seed", type=int, default=0, help="Seed of all random numbers.")
+@option.seed()
 @option.variant
 @click.option(
     "--effect", "effects", multiple=True, metavar="NAME[:PARAMETER=VALUE,…]",

@@ -390,9 +390,9 @@ class IioServer:
         host, port = self.settings.host, self.settings.port
         try:
             server = await asyncio.start_server(self._connected, host, port, limit=LINE_LIMIT)
-        except OSError as error:
+        except (OSError, UnicodeError) as error:  # a UnicodeError for a name that no host can have
             raise CannotOpenError(
-                f"cannot listen on {host}, port {port} ({error.strerror or error}):"
+                f"cannot listen on {host}, port {port} ({getattr(error, 'strerror', None) or error}):"
                 " give another --iio PORT or --listen ADDRESS"
             ) from error
         self.sampler.start()
