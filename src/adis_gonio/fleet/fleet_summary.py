@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from scipy.stats import hypergeom, rankdata
 
 from adis_gonio.base import __version__
 from adis_gonio.base.arrays import MAD_TO_SD, Floats, robust_sd
-from adis_gonio.base.jsonable import HIDDEN, JsonRecord
+from adis_gonio.base.jsonable import HIDDEN, JsonRecord, json_object
 from adis_gonio.base.numbers import (
     NAMES,
     count_decimals,
@@ -116,18 +116,19 @@ Codes = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
-class Test:
-    """Comparison of one group of sessions with the others for one quantity.
+class Outlying(JsonRecord):
+    """A sensor, stage or operator with sessions that differ significantly from the others.
+
+    The JSON document is one entry of `outlying.found`.
 
     Attributes
     ----------
-    kind : str
-        `unit`, `stage` or `operator`.
+    kind : {"unit", "stage", "operator"}
+        Kind of group; a unit is one sensor.
     code : int
-        Number of the tested group (sensor, stage or operator).
-    quantity : str
-        Name of the compared parameter, or `effect NAME`.
+        Number of the group (sensor, stage or operator), not in the JSON.
+    quantity, unit : str
+        Parameter with its unit, or `effect NAME`.
     z : float
         Robust z of the group (sensors), or the normal deviate that corresponds to the p-value.
     p_value : float
@@ -138,7 +139,16 @@ class Test:
         sensors that show it.
     n : int
         Number of sessions of the unit, or of units of the stage or operator.
+    name : str
+        Name of the group; the path of a session without a serial number.
+    adjusted_p : float
+        The p-value times the number of tests.
     """
+
+    document_keys = (
+        *("kind", "name", "quantity", "unit", "z"),
+        *("p_value", "adjusted_p", "value", "others", "n"),
+    )
 
     kind: str
     code: int
@@ -148,6 +158,9 @@ class Test:
     value: float
     others: float
     n: int
+    name: str = ""
+    unit: str = "1"
+    adjusted_p: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -163,10 +176,10 @@ class FamilyOfTests:
     """
 
     count: int
-    find: Callable[[float], list[Test]]
+    find: Callable[[float], list[Outlying]]
 
 
-def outlying(comparisons: Sequence[FamilyOfTests]) -> tuple[int, list[Test]]:
+def outlying(comparisons: Sequence[FamilyOfTests]) -> tuple[int, list[Outlying]]:
     """Count all tests, and list the significant tests, the smallest p-value first.
 
     The probability that any of all tests is significant by chance is at most 1 % (`OUTLYING`). Each entry
@@ -194,7 +207,7 @@ def by_unit(quantity: str, values: Floats, u: Floats, unit: Codes) -> FamilyOfTe
     codes = _own(unit)[good]
     names, index, count = np.unique(codes, return_inverse=True, return_counts=True)
 
-    def find(level: float) -> list[Test]:
+    def find(level: float) -> list[Outlying]:
         # One value per unit, with the root mean square of its u.
         median = _medians(values[good], index)
         # Sessions of a unit may share their error, so its u is not reduced by their number.
@@ -202,7 +215,7 @@ def by_unit(quantity: str, values: Floats, u: Floats, unit: Codes) -> FamilyOfTe
         z, centre = robust_z(median, doubt)
         p = 2 * stdtr(_MAD_EFFICIENCY * (len(names) - 1), -np.abs(z))
         return [
-            Test("unit", int(names[k]), quantity, z[k], p[k], median[k], centre, int(count[k]))
+            Outlying("unit", int(names[k]), quantity, z[k], p[k], median[k], centre, int(count[k]))
             for k in np.flatnonzero(p < level)
         ]
 
@@ -329,9 +342,9 @@ def _stepwise(
     `quantity` name the kind of group and the compared quantity.
     """
 
-    def find(level: float) -> list[Test]:
+    def find(level: float) -> list[Outlying]:
         x, groups = values, code
-        tests: list[Test] = []
+        tests: list[Outlying] = []
         while True:
             names, index, count = np.unique(groups, return_inverse=True, return_counts=True)
             able = _able(count)
@@ -344,7 +357,7 @@ def _stepwise(
                 return tests
             own = index == k
             middles = float(middle(x[own])), float(middle(x[~own]))
-            tests.append(Test(kind, int(names[k]), quantity, z[k], p[k], *middles, int(count[k])))
+            tests.append(Outlying(kind, int(names[k]), quantity, z[k], p[k], *middles, int(count[k])))
             x, groups = x[~own], groups[~own]
 
     return FamilyOfTests(int(_able(np.unique(code, return_counts=True)[1]).sum()), find)
@@ -386,41 +399,6 @@ class Frequency(JsonRecord):
         return wilson(self.found, self.traced)
 
 
-class Outlying(JsonRecord):
-    """A sensor, stage or operator with sessions that differ significantly from the others.
-
-    The JSON document is one entry of `outlying.found`.
-
-    Attributes
-    ----------
-    kind : {"unit", "stage", "operator"}
-        Kind of group; a unit is one sensor.
-    name : str
-        Name of the group; the path of a session without a serial number.
-    quantity, unit : str
-        Parameter with its unit, or `effect NAME`.
-    z, p_value, adjusted_p : float
-        Difference from the others as robust z or normal deviate, its p-value, and the p-value times the
-        number of tests.
-    value, others : float
-        Median of the parameter in the group and in the others; for an effect the share of sessions or
-        sensors that show it.
-    n : int
-        Number of sessions of the unit, or of units of the stage or operator.
-    """
-
-    kind: str
-    name: str
-    quantity: str
-    unit: str
-    z: float
-    p_value: float
-    adjusted_p: float
-    value: float
-    others: float
-    n: int
-
-
 @dataclass(frozen=True)
 class Summary:
     """Statistics of a fleet: counts, parameters, effects, and outlying groups.
@@ -454,19 +432,15 @@ class Summary:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the JSON document of the summary."""
-        return {
-            "format": FORMAT,
-            "software": f"adis-gonio {__version__}",
-            "sessions": self.sessions,
-            "failures": [{"path": path, "reason": reason} for path, reason in self.failures],
-            "parameters": {one.name: one.as_dict() for one in self.parameters},
-            "effects": [one.as_dict() for one in self.effects],
-            "outlying": {
-                "level": OUTLYING,
-                "tests": self.tests,
-                "found": [one.as_dict() for one in self.outlying],
-            },
-        }
+        return json_object(
+            format=FORMAT,
+            software=f"adis-gonio {__version__}",
+            sessions=self.sessions,
+            failures=[{"path": path, "reason": reason} for path, reason in self.failures],
+            parameters={one.name: one for one in self.parameters},
+            effects=self.effects,
+            outlying={"level": OUTLYING, "tests": self.tests, "found": self.outlying},
+        )
 
 
 def summarise(rows: Sequence[Row]) -> Summary:
@@ -559,16 +533,16 @@ def _comparisons(table: Table, groups: dict[str, Codes], traced: Any) -> list[Fa
     return made
 
 
-def _named(test: Test, tests: int, table: Table, groups: dict[str, Codes]) -> Outlying:
+def _named(test: Outlying, tests: int, table: Table, groups: dict[str, Codes]) -> Outlying:
+    """Return one of `tests` tests with the name of the group, its unit and the adjusted p-value."""
     if test.code >= 0:
         name = str(table[GROUPS[test.kind]][groups[test.kind] == test.code][0])
     else:  # a session without a serial number counts as a unit
         name = str(table["path"][-1 - test.code])
-    known = {field: value for field, value in vars(test).items() if field != "code"}
     if test.quantity == _RMS:  # compared by its logarithm
-        known |= {"value": math.exp(test.value), "others": math.exp(test.others)}
-    unit = "1" if test.quantity.startswith("effect ") else QUANTITIES[test.quantity]
-    return Outlying(**known, name=name, unit=unit, adjusted_p=min(1.0, tests * test.p_value))
+        test = replace(test, value=math.exp(test.value), others=math.exp(test.others))
+    unit = QUANTITIES.get(test.quantity, "1")  # a share has no unit
+    return replace(test, name=name, unit=unit, adjusted_p=min(1.0, tests * test.p_value))
 
 
 PARAMETER_HEAD = ["quantity", "unit", "sessions", "median", "5 %", "95 %", "mean", "robust sd"]
