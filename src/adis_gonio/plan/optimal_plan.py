@@ -43,7 +43,7 @@ from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.budget import check
 from adis_gonio.base.conformity import Tolerance
 from adis_gonio.base.errors import FitError, UsageError
-from adis_gonio.base.jsonable import HIDDEN, JsonRecord
+from adis_gonio.base.jsonable import HIDDEN, INLINE, KEYED_BY_NAME, JsonRecord, key
 from adis_gonio.base.numbers import (
     NAMES,
     count_decimals,
@@ -452,7 +452,7 @@ class Gain(JsonRecord):
 
     Attributes
     ----------
-    over : str
+    name : str
         Name of the other plan.
     figure : float
         Quantity by which the criterion judges the other plan, such as the u of the angle in degrees.
@@ -464,14 +464,13 @@ class Gain(JsonRecord):
         uncertainty with the best plan.
     """
 
-    over: str = field(metadata=HIDDEN)
+    name: str = field(metadata=HIDDEN)
     figure: float
     criterion: float
     u: dict[str, float]
 
 
-@dataclass(frozen=True)
-class BestPlan:
+class BestPlan(JsonRecord):
     """The best plan with its prediction.
 
     Attributes
@@ -494,12 +493,17 @@ class BestPlan:
         Step of the searched angles.
     """
 
-    prediction: Prediction
+    document_keys = (
+        *("prediction", "best", "beware", "criterion", "figure"),
+        *("grid_deg", "seed", "separations", "gains"),
+    )
+
+    prediction: Prediction = field(metadata=INLINE)
     best: Best
     beware: tuple[str, ...]
     figure: float
     separations: dict[str, float]
-    gains: tuple[Gain, ...]
+    gains: tuple[Gain, ...] = field(metadata=KEYED_BY_NAME | key("gain"))
     seed: int
     grid_deg: float
 
@@ -508,26 +512,16 @@ class BestPlan:
         """The plan that the search found."""
         return self.prediction.plan
 
+    @property
+    def criterion(self) -> str:
+        """Meaning of `figure` in words."""
+        return MEANING[self.best]
+
     def made_for(self) -> dict[str, Any]:
         """Return the settings and the result of the search, as they are stored in a plan file."""
-        return {
-            "best": self.best,
-            "beware": list(self.beware),
-            "criterion": MEANING[self.best],
-            "figure": self.figure,
-            "grid_deg": self.grid_deg,
-            "seed": self.seed,
-            "bench": self.prediction.bench.as_dict(),
-        }
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the JSON object of the prediction, the search and the comparison with other plans."""
-        return {
-            **self.prediction.as_dict(),
-            **self.made_for(),
-            "separations": dict(self.separations),
-            "gain": {gain.over: gain.as_dict() for gain in self.gains},
-        }
+        document = self.as_dict()
+        names = ("best", "beware", "criterion", "figure", "grid_deg", "seed", "bench")
+        return {name: document[name] for name in names}
 
 
 def best_plan(
@@ -772,7 +766,7 @@ def prediction_lines(
         rows = [["over", "criterion", *_GAINED.values()]]
         for gain in found.gains:
             ratios = [_ratio(gain.u.get(name)) for name in _GAINED]
-            rows.append([gain.over, _ratio(gain.criterion), *ratios])
+            rows.append([gain.name, _ratio(gain.criterion), *ratios])
         yield from align_columns(rows, texts=1)
     yield ""
     yield from _sight_lines(prediction.sight)
