@@ -40,6 +40,8 @@ from adis_gonio.tracing.selection import Selection, fit_model
 from adis_gonio.tracing.trace_result import NextDwell, Purpose
 
 MOST_RIVALS = 10
+MOST_DWELLS = 4
+"""Largest number of dwells that are proposed for each of the two questions."""
 COVERED = 0.9
 """Share of the posterior that the compared models have together."""
 UNSEEN = 0.03
@@ -100,12 +102,7 @@ class Hypothesis:
     evidence: float
 
 
-def propose(
-    data: Readings,
-    selection: Selection,
-    terms: Sequence[Term],
-    most: int = 4,
-) -> tuple[NextDwell, ...]:
+def propose(data: Readings, selection: Selection, terms: Sequence[Term]) -> tuple[NextDwell, ...]:
     """Return proposed dwells that would distinguish the possible models, the most informative first.
 
     Parameters
@@ -116,8 +113,6 @@ def propose(
         Model chosen from the fitted dwells, with its rivals.
     terms : sequence of Term
         All candidate terms of the session.
-    most : int
-        Largest number of dwells for each of the two questions (see the module).
     """
     turned = data.model.freedom > 0 or data.conditions.force_g is not None
     if not turned or (data.planar and data.conditions.angle_rad is None):
@@ -127,13 +122,13 @@ def propose(
         rivals = _rivals(selection)
     else:
         inflation, rivals = _explanations(selection, terms)
-    decided = _greedy(data, inflation, rivals, most, "decide", [])
+    decided = _greedy(data, inflation, rivals, "decide", [])
     if not decided and not selection.adequate:
         # With noise that no model explains, measurements separate little; report the best of them anyway.
-        decided = _greedy(data, inflation, rivals, most, "decide", [], FAINT_SEPARATION)
+        decided = _greedy(data, inflation, rivals, "decide", [], FAINT_SEPARATION)
     known = {name for h in rivals for name in h.labels}
     unseen = _normalised(_extended(selection, terms, selection.inflation, known))
-    return (*decided, *_greedy(data, selection.inflation, unseen, most, "cover", decided))
+    return (*decided, *_greedy(data, selection.inflation, unseen, "cover", decided))
 
 
 # -- hypotheses -------------------------------------------------------------------------------------------
@@ -340,7 +335,6 @@ def _greedy(
     data: Readings,
     inflation: float,
     hypotheses: list[Hypothesis],
-    most: int,
     purpose: Purpose,
     before: list[NextDwell],
     least: float = LEAST_SEPARATION,
@@ -351,8 +345,6 @@ def _greedy(
     ----------
     inflation : float
         Factor on the noise variance.
-    most : int
-        Largest number of dwells to choose.
     before : list of NextDwell
         Dwells that were chosen already.
     least : float
@@ -368,7 +360,7 @@ def _greedy(
     known = float(information_nats(weights, measured)[0])
     options = _options(data)
     effort = np.array([1.0 + place.wait_s / _EFFORT_WAIT_S for place in options])
-    while len(out) < most:
+    while len(out) < MOST_DWELLS:
         check()
         predicted = _predict(data, inflation, hypotheses, options, [*before, *out])
         gain = information_nats(weights, _joined(measured, predicted)) - known
