@@ -37,10 +37,8 @@ from adis_gonio.tracing.findings import clock_at_middle, follows_clock
 from adis_gonio.tracing.trace_result import TraceResult
 
 _CLOCK = "follows the clock of the session, which no later reading shares"
-_UNKNOWN = "is not known to be a function of the reading, the temperature or the supply"
+_UNKNOWN = "is not known to be a function of the readings, the temperature or the supply"
 _NAMELESS = "has no name, so it may not belong to the sensor"
-_GYRO_NAMELESS = "has no name, so it may not belong to the gyros"
-_GYRO_UNKNOWN = "is not known to be a function of the rate, the force, the temperature or the supply"
 
 
 def calibration_of_trace(result: TraceResult) -> Calibration:
@@ -73,7 +71,7 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
     ]
     others = [term for term in final.terms if term not in standing and not term.constant]
     left = [_reason_not_corrected(term, result, middle_s(final)) for term in others]
-    left += _unnamed_left(result, _NAMELESS)
+    left += _unnamed_left(result)
     fit, inflation = _refit_without(final, others, result.inflation)
     corrected = [term for term in fit.terms if isinstance(term, NamedTerm) and term in standing]
     rows, matrix = _stated_with_covariance(fit, corrected, inflation)
@@ -107,16 +105,16 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
 
 def _checked_fit(result: TraceResult) -> Fit:
     """Return the fit of the final model; raise `FitError` if the trace ended before it was validated."""
-    if not result.fits or (result.stopped is not None and not result.stopped.checked):
+    if result.stopped is not None and not result.stopped.checked:
         raise FitError("the time limit ended the trace before its model was checked: trace with more time")
     return result.fits[-1]
 
 
-def _unnamed_left(result: TraceResult, reason: str) -> list[NotCorrected]:
-    """Return the unnamed part as not corrected for this reason; empty if a term of the model is unnamed."""
+def _unnamed_left(result: TraceResult) -> list[NotCorrected]:
+    """Return the unnamed part as not corrected; empty if a term of the model is unnamed."""
     if result.unnamed is None or any(term.name is None for term in result.fits[-1].terms):
         return []
-    return [NotCorrected(f"unnamed: {result.unnamed.form}", reason)]
+    return [NotCorrected(f"unnamed: {result.unnamed.form}", _NAMELESS)]
 
 
 def _may_hold_bias(term: Term, *, biased: bool) -> bool:
@@ -260,7 +258,7 @@ def _reason_not_corrected(term: Term, result: TraceResult, at_s: float) -> NotCo
             term.effect.name, "the session cannot tell it from an effect that is none of the sensor"
         )
         return NotCorrected(term.effect.name, f"did not stand as a finding: {why}")
-    return _not_corrected(term, _NAMELESS, _UNKNOWN)
+    return _not_corrected(term)
 
 
 def gyro_calibration_of_trace(result: TraceResult) -> GyroCalibration:
@@ -277,8 +275,8 @@ def gyro_calibration_of_trace(result: TraceResult) -> GyroCalibration:
     """
     final = _checked_fit(result)
     kept = [term for term in final.terms if isinstance(term, NamedTerm) and term.effect.correctable]
-    left = [_not_corrected(one, _GYRO_NAMELESS, _GYRO_UNKNOWN) for one in final.terms if one not in kept]
-    left += _unnamed_left(result, _GYRO_NAMELESS)
+    left = [_not_corrected(one) for one in final.terms if one not in kept]
+    left += _unnamed_left(result)
     shown = [(one.name, one.unit) for one in final.data.model.parameters]
     places = list(range(len(shown)))
     for term in kept:
@@ -302,10 +300,10 @@ def gyro_calibration_of_trace(result: TraceResult) -> GyroCalibration:
     return made.as_written(result.provenance)
 
 
-def _not_corrected(term: Term, nameless: str, unknown: str) -> NotCorrected:
+def _not_corrected(term: Term) -> NotCorrected:
     if not isinstance(term, NamedTerm):
-        return NotCorrected(term.shown_as, nameless)
-    return NotCorrected(term.effect.name, term.effect.not_corrected or unknown)
+        return NotCorrected(term.shown_as, _NAMELESS)
+    return NotCorrected(term.effect.name, term.effect.not_corrected or _UNKNOWN)
 
 
 def with_gyros(calibration: Calibration, session: Session, *, traced: bool = False) -> Calibration:
