@@ -93,7 +93,7 @@ def test_a_trace_shows_itself_too():
     finding = Finding(
         "quadratic", ("x",), {"k2_x": Value(6.0, 0.1, "mg/g²")}, 0.0, 0.9, 1.0, cause="<curved>"
     )
-    result = TraceResult(True, (finding,), (), (), None, figures, figures, {}, ("go on",))
+    result = TraceResult(True, (finding,), (), figures, figures, advice=("go on",))
     assert repr(result) == "TraceResult(found quadratic; adequate)"
     assert "k2_x: 6.00 ± 0.20 mg/g²" in result.summary().replace("\u00a0", " ")
     ET.fromstring(result._repr_html_())

@@ -415,7 +415,7 @@ class TestPositions:
 
     def result(self) -> TraceResult:
         figures = ErrorFigures(1.0, None, None, None)
-        return TraceResult(True, (), (), (), None, figures, figures, {}, ("measure on",), notes=("a note",))
+        return TraceResult(True, (), (), figures, figures, advice=("measure on",), notes=("a note",))
 
     def test_a_trace_begins_with_how_positions_are_put_right(self) -> None:
         findings = (
@@ -587,7 +587,7 @@ class TestTheWhole:
 
     def result(self, *fits: Any, found: Sequence[str] = ()) -> TraceResult:
         findings = tuple(Finding(name, (), {}, 0.0, 0.0, 1.0) for name in found)
-        return TraceResult(True, findings, (), (), None, self.figures, self.figures, {}, (), fits=fits)
+        return TraceResult(True, findings, (), self.figures, self.figures, fits=fits)
 
     def fit(self, recorded: bool, *covariates: str) -> Any:
         """As much of a fit as is looked at: terms by their covariates, dwells at 30 and 33 °C."""

@@ -371,7 +371,7 @@ class TestGuard:
 
 def given() -> TraceResult:
     figures = ErrorFigures(1.0, None, None, None)
-    return TraceResult(True, (), (), (), None, figures, figures, {}, ())
+    return TraceResult(True, (), (), figures, figures)
 
 
 class TestParts:

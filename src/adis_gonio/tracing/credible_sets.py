@@ -111,11 +111,8 @@ def related(term: Term, unknown: Term) -> bool:
         return False
     if term.dwell is not None:
         return True  # an effect of one dwell may be a piece of any cause
-    return bool(_kinds(term.covariates) & _kinds(unknown.covariates))
-
-
-def _kinds(covariates: Sequence[str]) -> set[bool]:
-    return {covariate in SLOW for covariate in covariates}
+    slow, of_unknown = ({c in SLOW for c in one.covariates} for one in (term, unknown))
+    return bool(slow & of_unknown)
 
 
 def _replacements(selection: Selection) -> list[tuple[str, ...]]:

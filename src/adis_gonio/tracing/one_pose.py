@@ -173,7 +173,6 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
         found=tuple(found),
         steps=tuple(Step(name, error) for name, error in zip(names, figures[1:], strict=True)),
         confounded=tuple(group for group in rivals if len(group) > 1),
-        unnamed=None,
         before=figures[0],
         after=figures[-1],
         detectable=detectable,

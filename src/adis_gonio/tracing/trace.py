@@ -453,9 +453,6 @@ class TraceRun:
         return self._result(
             adequate=False,
             found=(),
-            confounded=(),
-            unnamed=None,
-            detectable={},
             advice=("trace again with more time, or without a limit",),
             base=findings.base_of(self.final),
             reasons=dict.fromkeys(open_, UNCHECKED),

@@ -8,7 +8,6 @@ from dataclasses import field
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from adis_gonio.base.budget import Budget
-from adis_gonio.base.errors import FitError
 from adis_gonio.base.jsonable import (
     HIDDEN,
     INLINE,
@@ -265,12 +264,12 @@ class TraceResult(ParameterTable):
         Named effects that were found.
     steps : tuple of Step
         Terms added to the base model, in this order.
+    before, after : ErrorFigures
+        Errors of the base model and of the final model.
     confounded : tuple of tuple of str
         Effects, or an effect and unnamed forms, that this session cannot distinguish.
     unnamed : Unnamed or None
         Structure in the residual that no named effect explains; None if there is none.
-    before, after : ErrorFigures
-        Errors of the base model and of the final model.
     detectable : mapping of str to Detectable
         For each effect, the smallest amplitude that would have been found with 90 % probability.
     advice : tuple of str
@@ -324,12 +323,12 @@ class TraceResult(ParameterTable):
     adequate: bool
     found: tuple[Finding, ...]
     steps: tuple[Step, ...]
-    confounded: tuple[tuple[str, ...], ...]
-    unnamed: Unnamed | None
     before: ErrorFigures
     after: ErrorFigures
-    detectable: dict[str, Detectable]
-    advice: tuple[str, ...] = field(metadata=key("next"))
+    confounded: tuple[tuple[str, ...], ...] = ()
+    unnamed: Unnamed | None = None
+    detectable: dict[str, Detectable] = field(default_factory=dict)
+    advice: tuple[str, ...] = field(default=(), metadata=key("next"))
     rivals: tuple[Rival, ...] = ()
     base: dict[str, Value] = field(default_factory=dict)
     reasons: dict[str, str] = field(default_factory=dict)
@@ -378,24 +377,19 @@ class TraceResult(ParameterTable):
         UsageError
             The result was made from readings, not from a session.
         FitError
-            The trace is of a single pose, was ended by its time limit before validation, or is of another
-            part.
+            The trace is of a single pose, or was ended by its time limit before validation.
         SessionError
             A write of offsets to the sensor was interrupted.
         """
+        from adis_gonio.tracing import trace_calibrations
+
         if self.part == GYRO:
-            from adis_gonio.tracing.trace_calibrations import gyro_calibration_of_trace
-
-            return gyro_calibration_of_trace(self)
-        if self.part != ACCELEROMETER:
-            raise FitError(f"no calibration is made of a trace of the part {self.part}")
-        from adis_gonio.tracing.trace_calibrations import calibration_of_trace
-
-        return calibration_of_trace(self)
+            return trace_calibrations.gyro_calibration_of_trace(self)
+        return trace_calibrations.calibration_of_trace(self)
 
     @property
     def part(self) -> str:
-        """The traced part of the sensor: `accelerometer` or another, such as `gyro`."""
+        """The traced part of the sensor: `accelerometer` or `gyro`."""
         return self.fits[-1].data.model.part if self.fits else ACCELEROMETER
 
     @property

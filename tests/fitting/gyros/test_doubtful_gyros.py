@@ -89,7 +89,7 @@ def test_a_trace_of_the_gyros_is_told_in_degrees_a_second():
     axes = {"x": 0.11, "y": 0.07, "z": 0.12}
     before = ErrorFigures(0.122, 0.0968, None, 12.6, axes, unit="dps")
     after = ErrorFigures(0.025, 0.0526, None, 0.93, axes, 0.05, unit="dps")
-    traced = TraceResult(True, (), (Step("gyro_scale", after),), (), None, before, after, {}, ())
+    traced = TraceResult(True, (), (Step("gyro_scale", after),), before, after)
     head, _ = words.error_rows(traced)
     told = " ".join([words.gains(traced), *head])
     assert "from 0.122 to 0.0250 °/s" in told

@@ -124,11 +124,9 @@ def _of_single_dwells(data: Readings, result: TraceResult) -> list[str]:
     """Return advice to repeat each dwell for which the model has an effect of this dwell alone."""
     lines = []
     training = data.rows(~data.check)
-    orders = training.conditions.order
+    orders = training.conditions.covariate("order")
     reported = {found.position for found in result.position_findings}
-    for term in result.fits[-1].terms if result.fits else ():
-        if term.dwell is None or orders is None:
-            continue
+    for term in result.fits[-1].terms:
         at = [k for k, order in enumerate(orders) if round(float(order)) == term.dwell]
         if at and training.position[at[0]] not in reported:
             word = "slipped" if term.enters_angle else "is off"
