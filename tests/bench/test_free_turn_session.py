@@ -60,7 +60,6 @@ def test_the_recording_is_continuous_and_ends_with_the_rest_after_two_full_turns
     assert not session.dwells
     assert np.diff(whole.time_s).max() < 1.5 * np.median(np.diff(whole.time_s))
     assert 33.0 < whole.time_s[-1] - whole.time_s[0] < 45.0
-    assert fit(session).turned_deg == pytest.approx(730.0, abs=3.0)
     assert whole.gyro is not None
     assert whole.temperature_c is not None
     assert whole.supply_v is not None

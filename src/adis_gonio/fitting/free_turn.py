@@ -719,20 +719,15 @@ class FreeTurnResult(FitResult):
     ----------
     sources : Sources
         Sources of the uncertainty of the parameters, in the order and units of `parameters`.
-    turned_deg, length_s : float
-        Total rotation, forward and back, and duration of the recording.
     """
 
     sources: Sources = field(default=Sources(()), compare=False)
-    turned_deg: float = 0.0
-    length_s: float = 0.0
 
     @cached_property
     def comparison(self) -> MethodComparison:
         """Comparison that lists only the method `free-turn`; no other method fits such a recording."""
-        own = replace(self, warnings=self.warnings)
         return MethodComparison(
-            (own,), {}, {}, {METHOD: Score(None, None, None, None, 0)}, Recommendation(METHOD, WHY)
+            (self,), {}, {}, {METHOD: Score(None, None, None, None, 0)}, Recommendation(METHOD, WHY)
         )
 
     @cached_property
@@ -757,14 +752,6 @@ class FreeTurnResult(FitResult):
         """
         u, dof = self.sources.uncertainty(self._shown)
         return Value(math.nan, u, "deg", dof, factor_over(self.sources.by_place(self._shown), dof))
-
-    @property
-    def angle(self) -> Value:
-        """Uncertainty of the calibrated angle from gravity to X, equal to `shown_angle`; its value is NaN.
-
-        No angle is declared, so no error of an angle can be computed.
-        """
-        return self.shown_angle
 
     @cached_property
     def budget(self) -> dict[str, tuple[BudgetRow, ...]]:
@@ -841,8 +828,6 @@ def _fitted(session: Session) -> FreeTurnResult:
         overrides=session.facts.get("overrides", {}),
         session_notes=session.notes,
         sources=sources,
-        turned_deg=sweeps_of(solution.psi_rad).travelled_deg,
-        length_s=series.length_s,
     )
 
 
