@@ -28,8 +28,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from adis_gonio.device.bus import BusUrl, SpiTiming
-from adis_gonio.device.bus.serial import open_from_url, open_port
-from adis_gonio.device.bus.serial.bus import ClockMap, SerialBus, SerialStream
+from adis_gonio.device.bus.serial import ClockMap, SerialBus, SerialStream, open_from_url, open_port
 from adis_gonio.device.bus.wire import load_cobs
 from adis_gonio.device.bus.wire.protocol import CRC_SIZE, HEADER_SIZE, Scans
 from adis_gonio.device.sensor.registers import registers
@@ -144,7 +143,7 @@ class _Listener(SerialBus):
 def _listener(path: str) -> SerialBus:
     from adis_gonio.device.bus.contract import SpiBus
     from adis_gonio.device.bus.host import SAFE_TIMING, WALL
-    from adis_gonio.device.bus.serial.bus import SerialLink
+    from adis_gonio.device.bus.serial import SerialLink
 
     bus = _Listener.__new__(_Listener)
     SpiBus.__init__(bus, SAFE_TIMING)

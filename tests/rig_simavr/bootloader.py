@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from adis_gonio.base.errors import BusTimeoutError
-from adis_gonio.device.bus.serial import SerialBus
-from adis_gonio.device.bus.serial.bus import HELLO_EVERY_S, SerialLink
+from adis_gonio.device.bus.serial import HELLO_EVERY_S, SerialBus, SerialLink
 from adis_gonio.device.bus.wire import Packet, encode, protocol as wire
 
 PS = 1_000_000_000_000

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import CannotOpenError
-from adis_gonio.bench.iio_devices import IioChannel, choose_channels
+from adis_gonio.bench.iio_source import IioChannel, choose_channels
 
 
 def test_units_are_those_of_a_session():

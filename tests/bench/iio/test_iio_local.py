@@ -14,7 +14,7 @@ from adis_gonio.base.errors import (
     ProtocolError,
     UsageError,
 )
-from adis_gonio.bench import iio_devices
+from adis_gonio.bench import iio_source
 from adis_gonio.bench.events import GuardRaised, Watching
 from adis_gonio.bench.iio_source import NO_FAULTS, find_devices
 from adis_gonio.bench.runner import SessionRunner
@@ -33,8 +33,8 @@ def present(monkeypatch, tmp_path, *devices):
     (tmp_path / "sys").mkdir()
     for device in devices:
         (tmp_path / "sys" / device.id).mkdir()
-    monkeypatch.setattr(iio_devices, "SYSFS", tmp_path / "sys")
-    monkeypatch.setattr(iio_devices, "load_libiio", lambda: FakeLibiio(*devices))
+    monkeypatch.setattr(iio_source, "SYSFS", tmp_path / "sys")
+    monkeypatch.setattr(iio_source, "load_libiio", lambda: FakeLibiio(*devices))
 
 
 @pytest.fixture
@@ -91,7 +91,7 @@ def test_it_is_listed(device):
 
 
 def test_a_machine_without_iio_has_none_and_needs_no_library(monkeypatch, tmp_path):
-    monkeypatch.setattr(iio_devices, "SYSFS", tmp_path / "nothing")
+    monkeypatch.setattr(iio_source, "SYSFS", tmp_path / "nothing")
     monkeypatch.setitem(sys.modules, "iio", None)
     assert find_devices() == []
     with pytest.raises(CannotOpenError, match="there are: none"):
@@ -102,7 +102,7 @@ def test_a_machine_without_iio_has_none_and_needs_no_library(monkeypatch, tmp_pa
     ("find_library", "match"), [(None, r"apt install libiio0"), ("missing", r"pip install '.\[iio\]'")]
 )
 def test_a_missing_library_is_named(monkeypatch, tmp_path, find_library, match):
-    monkeypatch.setattr(iio_devices, "SYSFS", tmp_path)
+    monkeypatch.setattr(iio_source, "SYSFS", tmp_path)
     monkeypatch.setattr("ctypes.util.find_library", lambda name: find_library)
     monkeypatch.delitem(sys.modules, "iio", raising=False)
     if find_library:

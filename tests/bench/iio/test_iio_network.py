@@ -11,8 +11,7 @@ import pytest
 from adis_gonio import fit, load_session, trace
 from adis_gonio.base.errors import BusError, CannotOpenError, NotInstalledError, SessionError, UsageError
 from adis_gonio.bench.events import DwellDone, ExtensionOffered, Finished, PositionAsked
-from adis_gonio.bench.iio_devices import IioDevice, load_libiio
-from adis_gonio.bench.iio_source import NO_FAULTS
+from adis_gonio.bench.iio_source import NO_FAULTS, IioDevice, load_libiio
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.faces.cli import main
 from adis_gonio.record.plans import plan
@@ -232,7 +231,7 @@ def test_a_server_that_answers_nonsense_is_a_typed_error(answers):
 
 def test_a_server_that_does_not_answer_is_a_time_out(monkeypatch):
     monkeypatch.setattr(
-        "adis_gonio.bench.iio_devices.IioDevice.__init__.__defaults__", (0.3,), raising=False
+        "adis_gonio.bench.iio_source.IioDevice.__init__.__defaults__", (0.3,), raising=False
     )
     with bad_server(b"", hang=True) as port, pytest.raises(BusError, match="no answer"):
         open_source(f"iio:ip:127.0.0.1:{port}/x")

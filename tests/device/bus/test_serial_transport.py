@@ -19,8 +19,7 @@ from adis_gonio.base.errors import (
     UsageError,
 )
 from adis_gonio.device.bus import BusUrl, Capability, SpiTiming, open_bus, serial as ports
-from adis_gonio.device.bus.serial import find_devices, open_from_url
-from adis_gonio.device.bus.serial.bus import ClockMap, SerialLink
+from adis_gonio.device.bus.serial import ClockMap, SerialLink, find_devices, open_from_url
 from adis_gonio.device.bus.wire import Packet, Receiver, encode, load_cobs, protocol as wire
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.device.sensor.registers import ND

@@ -22,8 +22,7 @@ from adis_gonio.bench.bringup.bringup_step import (
     highest_bin,
     variance_ratio,
 )
-from adis_gonio.bench.bringup.chip_rows import BY_QUESTION
-from adis_gonio.bench.bringup.recorded_chip import RecordedChip
+from adis_gonio.bench.bringup.chip_rows import BY_QUESTION, RecordedChip
 from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, BY_NAME, GYRO_OUT, Variant, registers
 from adis_gonio.device.sensor.settings import (
     Alarm,

@@ -86,7 +86,7 @@ def bringup_command(
         found = bring_up(bus, variant=part, permission=permission, tell=tell)
     if files:
         from adis_gonio.base.output import write_text
-        from adis_gonio.bench.bringup.bringup_page import build_page
+        from adis_gonio.bench.bringup.bringup_run import build_page
 
         page, document = files
         for path, text in ((document, json_text(found.as_dict())), (page, build_page(found))):
