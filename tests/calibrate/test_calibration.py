@@ -181,7 +181,7 @@ def test_space_gives_gravity_back_and_an_angle_in_a_named_plane():
     g = directions(rng, 50)
     accel = read_mg(g, gains=gains, axes=space_axes(*skews), bias=bias)
     assert np.abs(calibration.apply(accel) - g).max() < 5e-4
-    with pytest.raises(UsageError, match="plane='xy', 'xz' or 'yz'"):
+    with pytest.raises(UsageError, match=r"plane is None: .* in plane xy, xz, yz"):
         calibration.angle(accel)
     for plane, (i, j) in {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}.items():
         steep = np.hypot(g[:, i], g[:, j]) > 0.5
@@ -255,7 +255,7 @@ def test_misuse_of_conditions_and_planes_is_named():
         calibration.apply(accel, [20.0, 21.0])
     with pytest.raises(UsageError, match="temperature_c holds NaN"):
         calibration.apply(accel, np.nan)
-    with pytest.raises(UsageError, match="no angle in plane 'xz'"):
+    with pytest.raises(UsageError, match=r"plane is xz: .* in plane xy$"):
         calibration.angle(accel, plane="xz")
     with pytest.raises(UsageError, match="reading_u"):
         calibration.angle(accel, reading_u=-1.0)

@@ -750,17 +750,13 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         return Conditions(time_s=np.zeros(n), temperature_c=rows[0], supply_v=rows[1])
 
     def _plane(self, plane: str | None) -> tuple[int, int]:
-        planes = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
-        if plane is None:
-            if not self.planar:
-                raise UsageError(
-                    "this calibration is one in space: name the angle's plane, plane='xy', 'xz' or 'yz'"
-                )
-            plane = "xy"
-        if plane not in planes or (self.planar and plane != "xy"):
-            known = "xy" if self.planar else "xy, xz, yz"
-            raise UsageError(f"no angle in plane '{plane}' from this calibration; it has {known}")
-        return planes[plane]
+        planes = {"xy": (0, 1)} if self.planar else {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+        named = "xy" if plane is None and self.planar else plane
+        if named not in planes:
+            raise UsageError(
+                f"plane is {plane}: angles of this calibration are in plane {', '.join(planes)}"
+            )
+        return planes[named]
 
     def _with_u(
         self,
