@@ -379,18 +379,14 @@ def _unknown_readings(
     follow: _Follow, noise: NoiseAssumptions, dof: int, open_sigma: bool
 ) -> NoiseAssumptions:
     notes = ["fixture_sigma_deg is not stated: declared angles were taken as exact"] if open_sigma else []
-    if dof <= 0:
-        notes.append(
-            "the noise of a reading is unknown and there are too few positions to estimate it: no "
-            "uncertainty can be given; state reading_u_mg, keep the samples of each dwell, or measure "
-            "more positions"
-        )
-        return replace(noise, known=False, notes=tuple(notes))
-    scale = scale_at_dof(lambda s: follow(replace(noise, scale=s)).chi2, dof, _LEAST_SCALE, _LARGEST_SCALE)
+    why, scale = "there are too few positions to estimate it", 0.0
+    if dof > 0:
+        why, limits_mg = "the model fits all readings exactly", (_LEAST_SCALE, _LARGEST_SCALE)
+        scale = scale_at_dof(lambda s: follow(replace(noise, scale=s)).chi2, dof, *limits_mg)
     if scale <= _LEAST_SCALE:
         notes.append(
-            "the noise of a reading is unknown and the model fits all readings exactly: no "
-            "uncertainty can be given; state reading_u_mg, or keep the samples of each dwell"
+            f"the noise of a reading is unknown and {why}: no uncertainty can be given; state reading_u_mg,"
+            " keep the samples of each dwell, or measure more positions"
         )
         return replace(noise, known=False, notes=tuple(notes))
     notes.append(
@@ -431,12 +427,8 @@ def _unknown_fixture(follow: _Follow, noise: NoiseAssumptions, dof: int) -> Nois
     found = minimize_scalar(deviance, bounds=(low, high), method="bounded", options={"xatol": 0.02})
     # No clear gain over an exact fixture.
     if float(found.fun) > deviance(low) - 0.1:
-        return replace(
-            noise,
-            notes=(
-                "fixture_sigma_deg is not stated; the residual shows none, declared angles count as exact",
-            ),
-        )
+        note = "fixture_sigma_deg is not stated; the residual shows none, declared angles count as exact"
+        return replace(noise, notes=(note,))
     sigma = math.exp(float(found.x))
     note = f"fixture_sigma_deg is not stated: {math.degrees(sigma):.3g}° was estimated from the residual"
     declared = int(np.isfinite(follow.readings.angle_rad).sum())

@@ -480,16 +480,12 @@ def _noise(readings: Readings, chosen: Readings) -> NoiseAssumptions:
     try:
         return settle(readings).noise
     except FitError:
+        notes: tuple[str, ...] = ()
         if not chosen.noise_known:
-            return NoiseAssumptions(
-                sigma_rad=readings.fixture_rad,
-                known=False,
-                notes=("the noise of a reading is unknown: no uncertainty can be given",),
-            )
-        stated = ("fixture_sigma_deg is not stated: declared angles were taken as exact",)
-        return NoiseAssumptions(
-            sigma_rad=readings.fixture_rad, notes=() if readings.fixture_stated else stated
-        )
+            notes = ("the noise of a reading is unknown: no uncertainty can be given",)
+        elif not readings.fixture_stated:
+            notes = ("fixture_sigma_deg is not stated: declared angles were taken as exact",)
+        return NoiseAssumptions(sigma_rad=readings.fixture_rad, known=chosen.noise_known, notes=notes)
 
 
 def _fit(data: Readings, beta: Floats, *, bias: bool) -> Fit:
@@ -526,12 +522,7 @@ def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> lis
         moved[SCALE_X] / linear.beta[SCALE_Y]
         - moved[SCALE_Y] * linear.beta[SCALE_X] / linear.beta[SCALE_Y] ** 2
     )
-    held = chosen.sensor in VARIANTS
-    stated = (
-        "the uncertainty includes the part's figure for it"
-        if held
-        else "the uncertainty does not include it"
-    )
+    stated = "includes the part's figure for it" if chosen.sensor in VARIANTS else "does not include it"
     remedy = _bias_of_four(readings, chosen)
     if remedy is None:
         remedy = (
@@ -541,7 +532,7 @@ def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> lis
         )
     return [
         "a bias cannot be seen in two positions: 1 mg on X moves"
-        f" {_pair(k[0], phi[0])}, on Y {_pair(k[1], phi[1])}, and {stated}; {remedy}"
+        f" {_pair(k[0], phi[0])}, on Y {_pair(k[1], phi[1])}, and the uncertainty {stated}; {remedy}"
     ]
 
 

@@ -509,24 +509,16 @@ def _model(
     acts = np.concatenate([biases, skews, missing], axis=2)
     # Change of the parameters by unseen biases, skews and missing effects.
     blind = np.einsum("pna,nak->pk", response, acts)
-    notes, u = [], noise.extra_mg
+    notes, u, unstated = [], noise.extra_mg, "of a size that nothing states: not included"
     if noise.extra_mg > 0:
         notes.append("scatter beyond the noise within the dwells, and effects of the catalogue")
     if no_bias:
         letters = ", ".join("xyz"[axis] for axis in no_bias)
-        size = (
-            f"{figure:g} mg, figure of the part"
-            if figure
-            else "of a size that nothing states: not included"
-        )
+        size = f"{figure:g} mg, figure of the part" if figure else unstated
         notes.append(f"bias {letters} taken as zero ({size})")
     if no_skew:
         names = ", ".join(data.model.names[k].removeprefix("skew_") for k in no_skew)
-        size = (
-            f"{figures.non_orthogonality_deg:g}° at most, figure of the part"
-            if figures is not None
-            else "of a size that nothing states: not included"
-        )
+        size = f"{figures.non_orthogonality_deg:g}° at most, figure of the part" if figures else unstated
         notes.append(f"skew {names} taken as zero ({size})")
     others = np.concatenate([skews, missing], axis=2)
     u = math.hypot(u, figure if no_bias else 0.0, math.sqrt(float((others**2).sum(axis=2).mean())))

@@ -645,10 +645,7 @@ class JointMeasurement(Measurement):
 
     def start_rad(self, base: Floats) -> float | Floats:
         """Return the start angle α (n,) in rad of each dwell's session."""
-        each = [
-            float(model.start_rad(base[own])) for model, own in zip(self.models, self.numbers, strict=True)
-        ]
-        return np.array(each)[self.session]
+        return np.array([float(model.start_rad(base[own])) for model, own in self.sessions])[self.session]
 
     def stimulus(self, ideal: Floats, conditions: Conditions) -> Floats:
         """Return the quantity (n, axes) that the scale factors multiply, as a fraction of `full`."""
