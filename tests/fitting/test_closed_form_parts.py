@@ -197,7 +197,6 @@ def test_the_papers_equations_are_as_printed_and_their_slopes_too() -> None:
     delta_k, phi = as_printed(x1, y1, x2, y2)
     assert delta_k == pytest.approx(gain - 1)
     assert math.sin(phi) == pytest.approx((1 + a * b) / (a + b))
-    assert module._a_plus_b(np.array([x1, y1]), np.array([x2, y2])) == pytest.approx(a + b)
     weights = np.array([[0.5, 0.5, 0.0], [0.0, 0.0, 1.0]])
     values, slope = module._paper(np.array([x1, y1]), np.array([x2, y2]), weights)
     point = np.array([x1, y1, x2, y2])
