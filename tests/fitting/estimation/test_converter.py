@@ -86,6 +86,18 @@ def test_dwells_that_stand_at_a_limit_take_no_part_and_saturation_is_found(seed:
     assert abs(limit.value - words * LSB_MG) <= 2 * (limit.u or 0)
 
 
+def test_a_limit_at_count_zero_has_a_size_and_an_uncertainty() -> None:
+    from adis_gonio.tracing.within.faults import saturation
+
+    rows = [np.clip(own + 2137, 0, None) for own in turn(np.random.default_rng(1), bias=(0.0, 99.0))]
+    cut = replace(session(rows), accel_unit="counts", sensor="generic")
+    found = saturation(cut, readings_of(cut))
+    assert found is not None
+    limit = found.parameters["limit"]
+    assert limit.value == pytest.approx(2137 * LSB_MG, rel=0.03)
+    assert 0 < (limit.u or np.nan) < 30
+
+
 def test_one_dwell_at_either_end_of_the_same_range_is_a_limit_and_none_of_them_stuck() -> None:
     rows = turn(np.random.default_rng(5), bias=(0.0, 0.0))
     for own in rows:

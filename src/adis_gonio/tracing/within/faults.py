@@ -236,16 +236,13 @@ def saturation(session: Session, data: Readings) -> WithinFinding | None:
         return None
     limits = data.converter.limits
     recorded = sum(1 for dwell in session.dwells if len(dwell))
-    ends = np.zeros((len(limits), data.axes))
-    for row, limit in zip(ends, limits, strict=True):
-        row[limit.axis] = limit.value
-    columns = range(len(limits)), [limit.axis for limit in limits]
-    sizes = np.abs(data.unit.mg(ends)[columns])
-    per_code = (data.unit.mg(ends) - data.unit.mg(0 * ends))[columns][0] / limits[0].value
+    axes = [limit.axis for limit in limits]
+    values, zeros = np.array([limit.value for limit in limits]), data.unit.zero[axes]
+    sizes = np.abs((values * data.unit.scale - zeros) / data.unit.per_mg[axes])
     letters = tuple(sorted({"xyz"[limit.axis] for limit in limits}))
     positions = tuple(sorted({p for limit in limits for p in limit.positions}))
     p = max(float(special.bdtrc(m.samples - 1, m.samples + m.inside, 0.5)) for m in limits)
-    step = float(data.converter.steps.max() * abs(per_code))
+    step = float(data.converter.steps.max() * abs(data.unit.scale / data.unit.per_mg[axes[0]]))
     limit_mg = Value(float(sizes.mean()), math.hypot(step / math.sqrt(12), np.ptp(sizes) / 2), "mg")
     return WithinFinding(
         kind="limit",
