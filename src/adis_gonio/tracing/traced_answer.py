@@ -45,6 +45,12 @@ class TracedAnswer(Answer):
     """
 
     traced: TraceResult
+    shows_another_method = False
+    """False: the answer shows the traced model, which is the recommended model."""
+    doubts = ()
+    """Doubts about the model: none, since the model contains the effects that would raise doubts."""
+    scored_as = TRACED
+    """Name under which the table of scores lists the shown model: `trace`."""
 
     @property
     def model_parameters(self) -> dict[str, Value]:
@@ -80,16 +86,6 @@ class TracedAnswer(Answer):
         return budgets_of_trace(self.traced, self.values)
 
     @property
-    def shows_another_method(self) -> bool:
-        """False: the answer shows the traced model, which is the recommended model."""
-        return False
-
-    @property
-    def doubts(self) -> tuple[str, ...]:
-        """Doubts about the model: none, since the model contains the effects that would raise doubts."""
-        return ()
-
-    @property
     def remarks(self) -> tuple[str, ...]:
         """Remarks on the shown values, such as the temperature at which they are valid."""
         temperature = self.traced.reference_temperature_c
@@ -102,11 +98,6 @@ class TracedAnswer(Answer):
         """Temperature in °C at which the parameters are valid; None if unknown."""
         own = self.traced.reference_temperature_c
         return super().reference_temperature_c if own is None else own
-
-    @property
-    def scored_as(self) -> str:
-        """Name under which the table of scores lists the shown model: `trace`."""
-        return TRACED
 
     def facts(self) -> list[str]:
         """Return a line with the residual of the traced model."""
