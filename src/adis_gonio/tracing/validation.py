@@ -204,22 +204,16 @@ def _poses_repeat(data: Readings, blocks: list[NDArray[np.bool_]]) -> bool:
 
     Near is less than 2.5 steps of the angle, or 45° in space. `blocks` (n,) are the masks of the blocks.
     """
-    if not data.planar:
-        unit = data.model.pose(data.mean, data.conditions)
-        if unit is None:
-            return False
+    theta, turn = data.conditions.angle_rad, 2 * np.pi
+    unit = None if data.planar else data.model.pose(data.mean, data.conditions)
+    if unit is not None:
         near = np.arccos(np.clip(unit @ unit.T, -1, 1)) < np.pi / 4
-        return all(bool(near[np.ix_(b, ~b)].any(axis=1).all()) for b in blocks)
-    theta = data.conditions.angle_rad
-    if theta is None:
+    elif data.planar and theta is not None:
+        step = turn / max(len(np.unique(np.round(np.mod(theta, turn), 3))), 1)
+        near = np.abs(wrap_radians(theta[:, None] - theta[None, :])) < 2.5 * step
+    else:
         return False
-    turn = 2 * np.pi
-    step = turn / max(len(np.unique(np.round(np.mod(theta, turn), 3))), 1)
-    for block in blocks:
-        gap = wrap_radians(theta[block][:, None] - theta[~block][None, :])
-        if not (np.abs(gap).min(axis=1) < 2.5 * step).all():
-            return False
-    return True
+    return all(bool(near[np.ix_(b, ~b)].any(axis=1).all()) for b in blocks)
 
 
 def cross_validate(
@@ -262,12 +256,9 @@ def drop_unpredicted(
     dwells are undetermined by many mg. A design with less than a third of the dwells remaining is dropped,
     unless this drops all designs.
     """
-    out = {}
-    for name, own in counts.items():
-        rest = own & anew[name].predicted
-        if 3 * int(rest.sum()) >= len(rest):
-            out[name] = rest
-    return out or dict(counts)
+    rest = {name: own & anew[name].predicted for name, own in counts.items()}
+    kept = {name: mask for name, mask in rest.items() if 3 * int(mask.sum()) >= len(mask)}
+    return kept or dict(counts)
 
 
 def held_out_alike(
