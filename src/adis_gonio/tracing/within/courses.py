@@ -313,13 +313,9 @@ def _waiting_time(samples: Samples, amplitude: float, tau: float) -> float:
     `amplitude` is the largest amplitude of the settling in mg, `tau` its time constant in s. The noise of
     the mean is computed as for white noise.
     """
-    sizes = []
-    for k in range(len(samples)):
-        n = len(samples.values[k])
-        noise = float(np.min(samples.values[k].std(axis=0))) / np.sqrt(n)
-        length = float(samples.elapsed_s(k)[-1])
-        sizes.append(amplitude * tau / max(length, tau) / max(noise / 3, 1e-12))
-    excess = float(np.median(sizes))
+    lengths = [time[-1] - time[0] for time in samples.time_s]
+    shifts = amplitude * tau / np.maximum(lengths, tau)
+    excess = float(np.median(shifts / np.maximum(samples.u_of_means / 3, 1e-12)))
     return tau * float(np.log(excess)) if excess > 1 else 0.0
 
 

@@ -143,10 +143,7 @@ def _spikes_finding(samples: Samples, found: list[tuple[Place, float]]) -> Withi
     places = [place for place, _ in found]
     size = max(abs(place.value.value) if place.value else 0.0 for place in places)
     axes, positions = axes_and_positions(places)
-    noise = {
-        int(position): float(np.min(rows.std(axis=0))) / np.sqrt(len(rows))
-        for position, rows in zip(samples.position, samples.values, strict=True)
-    }
+    noise = dict(zip(samples.position.tolist(), samples.u_of_means.tolist(), strict=True))
     # A spike that moves a mean by less than a third of its noise is harmless.
     spoiled = tuple(sorted({p.position for p in places if abs(p.shift_mg or 0.0) > noise[p.position] / 3}))
     repeat = f"; repeat {positions_text(spoiled, 0)}, whose means they move" if spoiled else ""

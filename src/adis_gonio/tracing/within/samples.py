@@ -71,6 +71,11 @@ class Samples:
         steps = steps[steps > 0]
         return float(np.median(steps)) if steps.size else float("nan")
 
+    @property
+    def u_of_means(self) -> Floats:
+        """Least u (d,) in mg of the mean readings of each dwell on any axis, as for white noise."""
+        return np.array([rows.std(axis=0).min() / np.sqrt(len(rows)) for rows in self.values])
+
     def elapsed_s(self, dwell: int) -> Floats:
         """Return the time (n,) in s of each sample of a dwell since its first sample."""
         return np.asarray(self.time_s[dwell] - self.time_s[dwell][0], dtype=np.float64)
