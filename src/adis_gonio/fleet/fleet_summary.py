@@ -506,12 +506,8 @@ def _own_u(table: Table, name: str) -> Floats:
 def _effects(table: Table) -> list[tuple[str, Any]]:
     """List the effects found in any session by name, each with a mask (n,) of the sessions that show it."""
     names, index = np.unique(table["effect_name"], return_inverse=True)
-    shown = []
-    for k, name in enumerate(names):
-        flags = np.zeros(len(table["path"]), dtype=bool)
-        flags[table["effect_row"][index == k]] = True
-        shown.append((str(name), flags))
-    return shown
+    rows, shown = np.arange(len(table["path"])), table["effect_row"]
+    return [(str(name), np.isin(rows, shown[index == k])) for k, name in enumerate(names)]
 
 
 def _comparisons(table: Table, groups: dict[str, Codes], traced: Any) -> list[FamilyOfTests]:

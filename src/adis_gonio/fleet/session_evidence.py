@@ -167,9 +167,7 @@ def _variants(
             effect = kind(axes, **option)
             variant = ",".join(f"{key}={value}" for key, value in option.items())
             shaped = [(k, p) for k, p in enumerate(effect.parameters) if p.shape]
-            if not shaped:
-                yield variant, effect, ()
-            elif len(shaped) == 1 and shaped[0][1].unit == "s":
+            if len(shaped) == 1 and shaped[0][1].unit == "s":
                 for tau in TAUS_S:
                     yield f"tau={tau:g}", effect, ((shaped[0][0], tau),)
             else:

@@ -162,14 +162,9 @@ def _values(data: Readings, name: str) -> Floats | None:
         return np.interp(c.time_s, history[0], np.gradient(history[1], history[0])) * 60.0
     if name == "variance":
         return None if c.variance_mg2 is None else c.variance_mg2.mean(axis=1)
-    plain = {
-        "temperature": c.temperature_c,
-        "supply": c.supply_v,
-        "line_frequency": c.line_hz,
-        "order": c.order,
-        "approach": c.approach,
-    }
-    return c.time_s / 60.0 if name == "time" else plain.get(name)
+    fields = {"temperature": "temperature_c", "supply": "supply_v", "line_frequency": "line_hz"}
+    found: Floats | None = getattr(c, fields.get(name, name), None)
+    return c.time_s / 60.0 if name == "time" else found
 
 
 def _lag(data: Readings, after: Fit) -> Floats:
