@@ -117,6 +117,12 @@ def test_a_bad_row_is_named(tmp_path, line, row, words):
     assert words in message
 
 
+def test_a_dwell_with_rows_of_no_position_inside_is_named(tmp_path):
+    lines = [f"{k / 10},{p},0,1,2" for k, p in enumerate([0, 0, "", 0, 1])]
+    message = refused(write(tmp_path, HEADER, *lines))
+    assert "row 5: position 0 occurs again" in message
+
+
 def test_shuffled_positions_are_named(tmp_path):
     lines = [f"{k / 10},{p},{90 * p},1,2" for k, p in enumerate([0, 0, 1, 0, 1])]
     message = refused(write(tmp_path, HEADER, *lines))
