@@ -399,5 +399,8 @@ def test_a_device_that_takes_no_report_is_a_time_out_and_nothing_more_is_sent_to
         with pytest.raises(BusTimeoutError, match="takes no report"):
             bus.exchange([0x3800, 0])
         assert len(tried) == 1
+        bus._device.write = lambda data: -1
+        with pytest.raises(CannotOpenError, match="gone"):
+            bus.exchange([0x3800, 0])
         bus._device.write = takes
         assert bus.exchange([0x3800, 0])[1] == 0x0402

@@ -39,6 +39,14 @@ def connected(monkeypatch):
     return connect
 
 
+def test_only_a_port_that_does_not_name_itself_is_listed_with_a_doubt():
+    pico, uno = ports.devices([PICO, UNO])
+    assert str(pico.url) == "serial:/dev/ttyACM0"
+    assert "serial number A1" in pico.description
+    assert "if it has" not in pico.description
+    assert uno.description.endswith("if it has the adis-gonio firmware")
+
+
 @pytest.mark.parametrize(
     ("rows", "url", "place"),
     [

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from adis_gonio.base.errors import ChipError
+from adis_gonio.base.errors import BusError, ChipError
 from adis_gonio.bench.events import Configured, Problem
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.bus import BusUrl, Capability, FrameBlock, FrameStream, serial
@@ -172,6 +173,19 @@ def test_scans_without_news_are_left_out_and_counted():
     assert [len(block) for block in blocks] == [18, 20, 19]
     assert [block.dropped for block in blocks] == [2, 0, 1]
     assert all((block.words & ND).all() for block in blocks)
+
+
+def test_the_first_error_in_a_stream_counts_and_a_failed_restoration_is_not_hidden():
+    def fail():
+        raise BusError("data-ready stays on")
+
+    def stream():
+        return StreamedScans(Played(np.full((9, 3), ND, np.uint16), 3), replace(layout(), at_end=fail))
+
+    with pytest.raises(ZeroDivisionError), stream():
+        raise ZeroDivisionError
+    with pytest.raises(BusError, match="stays on"), stream() as scans:
+        next(scans)
 
 
 def test_many_scans_without_news_end_the_stream_even_after_a_good_beginning():

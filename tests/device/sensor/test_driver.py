@@ -137,6 +137,13 @@ def test_the_variant_is_told_by_one_g_at_rest(real, opened):
             open_sensor(url, variant=opened)
 
 
+def test_the_variant_is_checked_unless_told_not_to():
+    with open_bus("sim:?seed=4&variant=adis16350") as bus:
+        with pytest.raises(VariantError):
+            Adis16354(bus)
+        Adis16354(bus, check=False)
+
+
 def test_a_failed_opening_closes_the_bus(monkeypatch):
     bus = ConstantBus(0)
     monkeypatch.setattr("adis_gonio.device.sensor.driver.open_bus", lambda url: bus)

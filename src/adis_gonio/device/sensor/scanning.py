@@ -434,7 +434,7 @@ class PolledScans(ScanStream):
         layout: ScanLayout,
         block_scans: int,
         *,
-        counts_edges: bool = False,
+        counts_edges: bool,
     ) -> None:
         super().__init__(layout)
         self.how = "polling; missed samples are counted by " + (
