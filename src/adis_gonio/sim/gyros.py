@@ -8,7 +8,6 @@ which a fit finds them.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -20,9 +19,7 @@ from adis_gonio.model.effects.base import AXES, lagged
 from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
 from adis_gonio.sim.noise import RateWalk
 from adis_gonio.sim.sampling import Electronics
-from adis_gonio.sim.settings import WorldSettings
-
-PAIRS = tuple(a + b for a, b in itertools.product(AXES, repeat=2))
+from adis_gonio.sim.settings import PAIRS, WorldSettings
 
 
 def apply_matrix(matrix: Floats, vectors: Floats) -> Floats:
@@ -67,26 +64,17 @@ class GyroTriad:
         """
         own_g = value_or(settings.gyro_g_dps_per_g, figures.gyro_g_sensitivity_dps_per_g)
         supply = value_or(settings.gyro_supply_dps_per_v, figures.gyro_supply_sensitivity_dps_per_v)
-        per_g = [
-            value_or(getattr(settings, f"gyro_g_sensitivity_{pair}_dps_per_g"), own_g) for pair in PAIRS
-        ]
-        self.per_g = np.array(per_g).reshape(3, 3)
+        self.per_g = settings.by_axis("gyro_g_sensitivity_pair_dps_per_g", own_g).reshape(3, 3)
         """Linear g-sensitivity (3, 3) in °/s/g.
 
         The first index is the gyro, the second the axis of the force.
         """
-        self._per_v = np.array(
-            [value_or(getattr(settings, f"gyro_supply_{a}_dps_per_v"), supply) for a in AXES]
-        )
-        per_g2 = [getattr(settings, f"gyro_g2_sensitivity_{pair}_dps_per_g2") for pair in PAIRS]
-        self._per_g2 = np.array(per_g2).reshape(3, 3)
-        self._tempco = self._by_axis("gyro_bias_tempco_{}_dps_per_c")
-        self._scale_tempco = 1e-6 * self._by_axis("gyro_scale_tempco_{}_ppm_per_c")
-        self._warm_up = self._by_axis("gyro_warm_up_{}_dps")
-        self._asymmetry = self._by_axis("gyro_asymmetry_{}")
-
-    def _by_axis(self, name: str) -> Floats:
-        return np.array([getattr(self._settings, name.format(axis)) for axis in AXES])
+        self._per_v = settings.by_axis("gyro_supply_each_dps_per_v", supply)
+        self._per_g2 = settings.by_axis("gyro_g2_sensitivity_pair_dps_per_g2").reshape(3, 3)
+        self._tempco = settings.by_axis("gyro_bias_tempco_each_dps_per_c")
+        self._scale_tempco = 1e-6 * settings.by_axis("gyro_scale_tempco_each_ppm_per_c")
+        self._warm_up = settings.by_axis("gyro_warm_up_each_dps")
+        self._asymmetry = settings.by_axis("gyro_asymmetry_each")
 
     @property
     def electronics(self) -> Electronics:
@@ -123,7 +111,7 @@ class GyroTriad:
         gyro *= 1 + self._scale_tempco * warm
         gyro += self._bias + self._tempco * warm + self._warming(time_s)[:, None] * self._warm_up
         gyro += (supply_v - REFERENCE_V)[:, None] * self._per_v
-        for k, j in itertools.product(range(3), repeat=2):
+        for k, j in np.ndindex(3, 3):
             if self.per_g[k, j] or self._per_g2[k, j]:
                 gyro[:, k] += self.per_g[k, j] * force_g[:, j] + self._per_g2[k, j] * force_g[:, j] ** 2
         if self._settings.gyro_rate_walk_dps_per_rt_s:
@@ -206,16 +194,15 @@ class GyroTriad:
 
 
 def _sensitivity(settings: WorldSettings) -> Floats:
-    gains = np.array([getattr(settings, f"gyro_scale_{axis}") for axis in AXES])
+    gains = settings.by_axis("gyro_scale_each")
     misalignment = np.zeros((3, 3))
-    for k, j in itertools.permutations(range(3), 2):
-        misalignment[k, j] = getattr(settings, f"gyro_misalignment_{AXES[k]}{AXES[j]}_deg")
+    misalignment[~np.eye(3, dtype=np.bool_)] = settings.by_axis("gyro_misalignment_other_deg")
     misalignment = np.sin(np.radians(misalignment))
     beside = (misalignment**2).sum(axis=1)
     if beside.max() >= 1:
         raise UsageError(f"gyro_misalignment_{AXES[int(beside.argmax())]}…: no axis is misaligned so much")
     sensitivity = gains[:, None] * unit_directions(misalignment)
-    turned = np.radians([getattr(settings, f"gyro_triad_{axis}_deg") for axis in AXES])
+    turned = np.radians(settings.by_axis("gyro_triad_each_deg"))
     return np.asarray(sensitivity @ rotation_matrices(turned).T if turned.any() else sensitivity)
 
 
@@ -235,9 +222,9 @@ class Dies:
 
     def __init__(self, settings: WorldSettings) -> None:
         self._powered_s = settings.powered_s
-        self._gradient_c = np.array([getattr(settings, f"die_gradient_{axis}_c") for axis in AXES])
+        self._gradient_c = settings.by_axis("die_gradient_each_c")
         self._gradient_tau_s = settings.die_gradient_tau_s
-        self._lag_s = np.array([getattr(settings, f"die_lag_{axis}_s") for axis in AXES])
+        self._lag_s = settings.by_axis("die_lag_each_s")
         self._begin_s = -min(settings.powered_s, float(np.ceil(_FORGOTTEN * self._lag_s.max())))
 
     @property

@@ -9,13 +9,16 @@ from collections.abc import Mapping
 from dataclasses import Field, dataclass, field, fields
 from typing import Any, Self, TypeVar, dataclass_transform
 
+import numpy as np
+
+from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError, suggest
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 T = TypeVar("T")
-_OTHERS = [a + b for a, b in itertools.permutations("xyz", 2)]
-_PAIRS = [a + b for a, b in itertools.product("xyz", repeat=2)]
-_PLACES = {"each": list("xyz"), "other": _OTHERS, "pair": _PAIRS}
+PAIRS = tuple(a + b for a, b in itertools.product("xyz", repeat=2))
+_OTHERS = tuple(a + b for a, b in itertools.permutations("xyz", 2))
+_PLACES = {"each": ("x", "y", "z"), "other": _OTHERS, "pair": PAIRS}
 
 
 def _above_0(default: float) -> Any:
@@ -24,6 +27,14 @@ def _above_0(default: float) -> Any:
 
 def _not_negative(default: float | None) -> Any:
     return field(default=default, metadata={"refused": lambda value: value < 0, "must": "not be negative"})
+
+
+def _names(name: str) -> dict[str, str]:
+    """Return the names of the fields for which a name with `each`, `other` or `pair` stands, by axes."""
+    place = next((part for part in name.split("_") if part in _PLACES), "")
+    return (
+        {axes: name.replace(f"_{place}", f"_{axes}", 1) for axes in _PLACES[place]} if place else {"": name}
+    )
 
 
 @dataclass_transform(frozen_default=True)
@@ -39,10 +50,8 @@ def _by_axis(cls: type[T]) -> type[T]:
         given = cls.__dict__[name]
         entry = given if isinstance(given, Field) else field(default=given)
         delattr(cls, name)
-        place = next((part for part in name.split("_") if part in _PLACES), "")
-        for axes in _PLACES.get(place, [""]):
+        for axes, of_axes in _names(name).items():
             own = entry.metadata.get("own", entry.default) if axes in ("xx", "yy", "zz") else entry.default
-            of_axes = name.replace(f"_{place}", f"_{axes}", 1) if place else name
             kinds[of_axes] = kind
             setattr(cls, of_axes, field(default=own, metadata=entry.metadata))
     cls.__annotations__ = kinds
@@ -144,6 +153,15 @@ class GyroSettings:
     earth_rate_up_dps: float = 0.0
     autonull_s: float = _not_negative(0.0)
     precision_autonull_s: float = _above_0(30.0)
+
+    def by_axis(self, name: str, unstated: Floats | float = math.nan) -> Floats:
+        """Return the values (n,) of a setting for several axes.
+
+        The name has `each` (3 values), `other` (6) or `pair` (9) in the place of the axes, such as
+        `bias_each_mg`. Values that are None are taken from `unstated`, (n,) or one number.
+        """
+        values = np.array([getattr(self, of_axes) for of_axes in _names(name).values()], np.float64)
+        return np.where(np.isnan(values), unstated, values)
 
 
 @_by_axis

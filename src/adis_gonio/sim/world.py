@@ -32,7 +32,7 @@ from adis_gonio.model.effects.base import AXES, Conditions, Effect, Enters
 from adis_gonio.model.effects.sensor_terms import REFERENCE_C
 from adis_gonio.model.measurement import FreeAttitude, sensitivity
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
-from adis_gonio.sim.gyros import PAIRS, Dies, GyroTriad, apply_matrix, value_or
+from adis_gonio.sim.gyros import Dies, GyroTriad, apply_matrix, value_or
 from adis_gonio.sim.noise import Flicker
 from adis_gonio.sim.sampling import Inputs
 from adis_gonio.sim.settings import WorldSettings
@@ -103,8 +103,7 @@ class World:
         self._dies = Dies(self.settings)
         # Position of each accelerometer (rows): of the sensor on the stage, and within the sensor.
         self._lever_m = 1e-3 * np.tile([self.settings.lever_x_mm, self.settings.lever_y_mm, 0.0], (3, 1))
-        places = [getattr(self.settings, f"accel_place_{pair}_mm") for pair in PAIRS]
-        self._places_m = 1e-3 * np.array(places).reshape(3, 3)
+        self._places_m = 1e-3 * self.settings.by_axis("accel_place_pair_mm").reshape(3, 3)
         self._warmed: list[tuple[float, float]] = []
         self._supplied: list[tuple[float, float]] = []
         figures = self.variant.performance
@@ -130,18 +129,17 @@ class World:
         Parameters with a given value are drawn too, and not used: the random numbers of the other
         parameters then do not depend on which values are given.
         """
-        figures, given = self.variant.performance, self.settings
+        figures, given, normal = self.variant.performance, self.settings, rng.standard_normal
         limit = figures.non_orthogonality_deg
-        scale = 1 + figures.scale_error_typical * rng.standard_normal(3)
-        self._bias = self._by_axis("bias_{}_mg", figures.initial_bias_mg, rng)
+        scale = 1 + figures.scale_error_typical * normal(3)
+        self._bias = given.by_axis("bias_each_mg", figures.initial_bias_mg * normal(3))
         skew = rng.uniform(-limit, limit, 3)
         alpha = float(rng.uniform(-GREATEST_ALPHA_DEG, GREATEST_ALPHA_DEG))
-        self._tempco = self._by_axis("bias_tempco_{}_mg_per_c", figures.bias_tempco_mg_per_c, rng)
-        self._scale_tempco = 1e-6 * self._by_axis(
-            "scale_tempco_{}_ppm_per_c", figures.scale_tempco_ppm_per_c, rng
-        )
-        self._gyro_bias = self._by_axis("gyro_bias_{}_dps", given.gyro_bias_sigma_dps, rng)
-        self._temperature_offset = given.temperature_offset_sigma_c * rng.standard_normal(3)
+        self._tempco = given.by_axis("bias_tempco_each_mg_per_c", figures.bias_tempco_mg_per_c * normal(3))
+        warmer_ppm = figures.scale_tempco_ppm_per_c * normal(3)
+        self._scale_tempco = 1e-6 * given.by_axis("scale_tempco_each_ppm_per_c", warmer_ppm)
+        self._gyro_bias = given.by_axis("gyro_bias_each_dps", given.gyro_bias_sigma_dps * normal(3))
+        self._temperature_offset = given.temperature_offset_sigma_c * normal(3)
         scale_y = value_or(given.scale_y, float(scale[1]))
         delta_k = value_or(given.delta_k, float(scale[0] / scale[1] - 1))
         delta_phi = value_or(given.delta_phi_deg, float(skew[0]))
@@ -158,15 +156,6 @@ class World:
         }
         in_space = FreeAttitude(self.gravity_mg).parameters
         self._sensitivity = sensitivity(np.array([self._hidden[p.name] / p.per_natural for p in in_space]))
-
-    def _by_axis(self, name: str, sd: float, rng: np.random.Generator) -> Floats:
-        """Return the values (3,) of a setting for x, y and z: the given value, or else a drawn value.
-
-        `name` is the name of the setting with {} for the axis, `sd` the standard deviation of the draws.
-        """
-        drawn = (sd * rng.standard_normal(3)).tolist()
-        given = (getattr(self.settings, name.format(axis)) for axis in AXES)
-        return np.array([value_or(value, own) for value, own in zip(given, drawn, strict=True)])
 
     # -- hidden parameters -------------------------------------------------------------------------
 
