@@ -517,9 +517,8 @@ class Calibration(Coefficients, eq=False, kw_only=True):
             Wrong shape, another unit, NaN or infinity.
         """
         readings, single = checked_readings(accel, self)
-        gravity = self._gravity(
-            self.values, readings, self._conditions(len(readings), temperature_c, supply_v)
-        )
+        conditions = self._conditions(len(readings), temperature_c, supply_v)
+        gravity = self._gravity(self.values, readings, conditions)
         return gravity[0] if single else gravity
 
     def readings_of(

@@ -161,10 +161,8 @@ class FitResult(ParameterTable):
         return (MISFIT,) if self.extra_mg else ()
 
     def __repr__(self) -> str:
-        lead = [one for one in self.parameters if one.name in ("delta_k", "delta_phi")] or self.parameters[
-            :2
-        ]
-        values = ", ".join(f"{one.name} {one}" for one in lead)
+        lead = [one for one in self.parameters if one.name in ("delta_k", "delta_phi")]
+        values = ", ".join(f"{one.name} {one}" for one in lead or self.parameters[:2])
         return f"FitResult({self.method}, {counted(len(self.positions), 'dwell')}, {values})"
 
     def calibration(self) -> Calibration:

@@ -91,10 +91,8 @@ def fit_ml(readings: Readings) -> FitResult:
     warnings = [*readings.notes, *noise.notes, *_warnings(determination, held, lost, reported)]
     sources = None
     if noise.known:
-        inverse, natural = (
-            covariance(determination.fisher, determination.free, null),
-            natural_units(fit.data),
-        )
+        inverse = covariance(determination.fisher, determination.free, null)
+        natural = natural_units(fit.data)
         response, rotation = response_of(fit, inverse, natural), by_rotation_of(fit, inverse, natural)
         sources = sources_of(readings, noise, fit, response, determination.held, rotation)
     made = Origin(readings, noise, fit, tuple(reported), sources, determination)

@@ -443,9 +443,8 @@ class Session(ComputedOnce):
             for dwell, columns in zip(self.sampled, each, strict=True):
                 if name not in columns and name not in UNSTATED:
                     raise DataError(f"{source}: position {dwell.position} has no '{name}', others have")
-                made.setdefault(name, []).append(
-                    columns[name] if name in columns else np.full(len(dwell), UNSTATED[name])
-                )
+                values = columns[name] if name in columns else np.full(len(dwell), UNSTATED[name])
+                made.setdefault(name, []).append(values)
         if self.free_turn:
             del made["position"]
         return made

@@ -253,9 +253,8 @@ class Fit:
         k) with Aᵀ A = V λ Vᵀ and the function g of the module's docstring. None without shared noise.
         """
         if self.data.model.freedom == 0 and self.data.links is None:
-            return self.data.once(
-                _fixed_factors
-            )  # without an attitude, all fits to these readings share them
+            # Without an attitude, all fits to these readings share the factors.
+            return self.data.once(_fixed_factors)
         return _factors(self.modes)
 
     def white(self, columns: Floats) -> Floats:
@@ -420,10 +419,8 @@ class Fit:
     @cached_property
     def equations(self) -> int:
         """Number of whitened residuals, minus one for each dwell with an unknown angle."""
-        spare = (
-            0 if self.data.free else int(np.isinf(self.data.fixture).sum()) * (self.data.model.freedom == 1)
-        )
-        return self.residual.size - spare
+        by_angle = self.data.model.freedom == 1 and not self.data.free
+        return self.residual.size - int(np.isinf(self.data.fixture).sum()) * by_angle
 
     @cached_property
     def _half(self) -> Floats:

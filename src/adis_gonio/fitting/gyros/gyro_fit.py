@@ -349,14 +349,11 @@ def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
         apart = np.array([other[key] for key in names]) - values
         covariance = covariance + share / sum(odds.values()) * np.outer(apart, apart)
     fit, inflation = best.fit, {axis: own for axis, (own, _) in best.inflation.items()}
+    stated = zip(
+        names, values.tolist(), np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist(), strict=True
+    )
     parameters = {
-        name: Value(
-            value,
-            math.sqrt(max(covariance[k, k], 0.0)),
-            UNIT_OF[name],
-            best.inflation[_gyro_of(name)][1],
-        )
-        for k, (name, value) in enumerate(zip(names, values.tolist(), strict=True))
+        name: Value(value, u, UNIT_OF[name], best.inflation[_gyro_of(name)][1]) for name, value, u in stated
     }
     turned = data.conditions.rate_dps
     temperature = data.conditions.temperature_c

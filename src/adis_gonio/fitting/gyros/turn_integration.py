@@ -340,9 +340,7 @@ def integrate(path: Path, sampling: Sampling) -> Integral | str:
     edge = sampling.window // 2
     # Both ends lie within the interval, which a gap may have made shorter than a window.
     head, tail = slice(begin, min(begin + edge, end + 1)), slice(max(end - edge + 1, begin), end + 1)
-    if _shows_another_attitude(path, path.force_g[head], 0) or _shows_another_attitude(
-        path, path.force_g[tail], 1
-    ):
+    if any(_shows_another_attitude(path, path.force_g[rows], k) for k, rows in enumerate((head, tail))):
         return "a part of the turn was not recorded"
     if moves[head].any() or moves[tail].any():
         return "the part was already moving when the recording began, or still moving when it ended"

@@ -485,11 +485,9 @@ def _single(rows: Rows, seen: Floats, zero: float) -> Iterator[Pattern]:
         amplitude = -float(wrap_radians(seen[k] - zero))
         declared = float(np.degrees(rows.declared_rad[k]))
         listed = np.radians(np.array(possible_entries(declared, others)) - declared)
+        typed = partial(_typing_error, listed, declared)
         names: Names = {
-            "mistyped": (
-                math.log(SHARE["mistyped"] / len(places)),
-                partial(_typing_error, listed, declared),
-            ),
+            "mistyped": (math.log(SHARE["mistyped"] / len(places)), typed),
             "misset": (math.log(SHARE["misset"] / len(places)), _any_size),
         }
         yield Pattern((k,), amplitude * unit, rows.by_error @ unit[:, None], unit, amplitude, names, zero)

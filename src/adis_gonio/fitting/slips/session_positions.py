@@ -198,10 +198,8 @@ class PositionFinding:
             "position": self.position, "finding": self.finding, "declared_deg": self.declared_deg
         }  # fmt: skip
         for name in ("gravity", "gyro", "angle", "error"):
-            document[f"{name}_deg"], document[f"{name}_u_deg"] = getattr(self, f"{name}_deg") or (
-                None,
-                None,
-            )
+            value, u = getattr(self, f"{name}_deg") or (None, None)
+            document |= {f"{name}_deg": value, f"{name}_u_deg": u}
         return document | {
             "meant_deg": self.meant_deg,
             "others": list(self.others),

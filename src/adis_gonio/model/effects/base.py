@@ -298,9 +298,8 @@ class Conditions:
         key = history, axis, tau_s
         if key not in self._late:
             times, values = self.covariate(history)
-            self._late[key] = lagged(
-                times, values if axis is None else values[:, axis], self.clock_s, tau_s
-            )
+            series = values if axis is None else values[:, axis]
+            self._late[key] = lagged(times, series, self.clock_s, tau_s)
         return self._late[key]
 
     @property
