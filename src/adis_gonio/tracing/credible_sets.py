@@ -205,12 +205,9 @@ def set_of(selection: Selection, cause: str, averaged: Averaged | None = None) -
     `averaged` is the average that replaces the unnamed part of the model, if any.
     """
     share, present = votes(selection, cause, averaged)
-    names: list[str] = []
-    for name in sorted(share, key=lambda name: -share[name]):
-        names.append(name)
-        if sum(share[name] for name in names) >= limits.set_level:
-            break
-    return CredibleSet(cause, tuple(names), tuple(share[name] for name in names), present)
+    ranked = sorted(share, key=lambda name: -share[name])
+    count = 1 + int(np.searchsorted(np.cumsum([share[name] for name in ranked]), limits.set_level))
+    return CredibleSet(cause, tuple(ranked[:count]), tuple(share[name] for name in ranked[:count]), present)
 
 
 def votes(
