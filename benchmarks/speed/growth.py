@@ -99,7 +99,7 @@ def segment_here(samples: int) -> dict[str, float]:
 
 def segmenting(samples: int) -> list[Row]:
     """Peak memory besides the samples, at `FEW` of them and at all, each in a process of its own."""
-    few, many = (_child(f"segment_here({n})") for n in (FEW, samples))
+    few, many = (_child(f"segment_here({n})") for n in (min(FEW, samples // 2), samples))
     for found in (few, many):
         whole = int(found["samples"] / RATE_HZ // (REST_S + MOVE_S))
         require(whole <= found["dwells"] <= whole + 1, f"{found['dwells']} dwells, {whole} rests put in")
@@ -108,8 +108,8 @@ def segmenting(samples: int) -> list[Row]:
     exponent = math.log(many["s"] / few["s"]) / math.log(many["samples"] / few["samples"])
     constant = "constant" if ratio <= MEMORY else "NOT constant"
     note = (
-        f"peak memory (VmHWM) besides the samples {ratio:.2f} times that of {FEW:.0e} samples: {constant}; "
-        f"time grows as n^{exponent:.2f}"
+        f"peak memory (VmHWM) besides the samples {ratio:.2f} times that of {few['samples']:.0e} samples: "
+        f"{constant}; time grows as n^{exponent:.2f}"
     )
     found = {"samples": samples, "memory_ratio": ratio, "exponent": exponent, "dwells": many["dwells"]}
     agreement = f"every rest found, {many['dwells']:.0f}"
