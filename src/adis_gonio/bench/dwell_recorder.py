@@ -111,7 +111,13 @@ class Recording:
     @property
     def lost(self) -> int:
         """Number of scans lost within the dwell, in all blocks with a sample of the dwell."""
-        return sum(block.lost for phase, block in self._pieces() if phase == "dwell")
+        begin, stop = self._span
+        ends = np.cumsum([len(block) for block in self._blocks]).tolist()
+        return sum(
+            block.lost
+            for block, end in zip(self._blocks, ends, strict=True)
+            if max(begin, end - len(block)) < min(stop, end)
+        )
 
     @property
     def waited_s(self) -> float:
@@ -197,6 +203,12 @@ class Recording:
         index = int(np.searchsorted(self._times, at_s))
         return index if index < self._count else None
 
+    @property
+    def _span(self) -> tuple[int, int]:
+        """Indices of the first sample of the dwell and after it; the number of samples if not known yet."""
+        begin = self._count if self.begin is None else self.begin
+        return begin, self._count if self._stop is None else self._stop
+
     def _pieces(self) -> list[tuple[Phase, Block]]:
         """Return the blocks, split at the begin and the end of the dwell, each part with its phase.
 
@@ -204,8 +216,7 @@ class Recording:
 
         All scans lost in a block that is split count as lost in the dwell.
         """
-        begin = self._count if self.begin is None else self.begin
-        stop = self._count if self._stop is None else self._stop
+        begin, stop = self._span
         pieces: list[tuple[Phase, Block]] = []
         index = 0
         for block in self._blocks:

@@ -197,7 +197,8 @@ def session_columns(block: Block) -> dict[str, Floats]:
     numbers = block.select(ACCEL_OUT).numbers().astype(np.float64)
     columns = {_OF_REGISTER[name]: numbers[:, k] for k, name in enumerate(ACCEL_OUT)}
     if all(name in block.registers for name in GYRO_OUT) and block.gyro_range_dps:
-        columns |= {_OF_REGISTER[name]: block.column(name) for name in GYRO_OUT}
+        rates = block.gyro_dps
+        columns |= {_OF_REGISTER[name]: rates[:, k] for k, name in enumerate(GYRO_OUT)}
     if any(name in block.registers for name in TEMP_OUT):
         columns["temp_c"] = block.temperature_c
     if "SUPPLY_OUT" in block.registers:
