@@ -19,16 +19,17 @@ from tracing.verdict import Verdict
 
 Pools = tuple[ProcessPoolExecutor, ProcessPoolExecutor]
 SEED = 11
+ENTRIES = ("temperature_knee", "quintic", "gain_approach", "memory_turn", "lean_time", "drift_knee")
+"""One shape of the grammar for each way to enter."""
 
 
 def each_name_in_two() -> list[int]:
-    """Numbers of the sessions that hide a name that no session before them hides."""
-    hidden: set[str] = set()
-    numbers = []
-    for k in range(100):
-        new = draw("two", SEED, k)[0].names - hidden
-        numbers += [k] * bool(new)
-        hidden |= new
+    """Numbers of few sessions that hide every name: next is always the one that adds most."""
+    hidden = {k: draw("two", SEED, k)[0].names for k in range(100)}
+    left, numbers = set().union(*hidden.values()), []
+    while left:
+        numbers.append(max(hidden, key=lambda k: len(hidden[k] & left)))
+        left -= hidden[numbers[-1]]
     return numbers
 
 
@@ -36,13 +37,13 @@ SESSIONS = {
     "none": range(6),
     "one": range(len(NAMES)),
     "two": each_name_in_two(),
-    "uncatalogued": range(0, len(GRAMMAR), 2),
-    "beyond": range(0, len(BEYOND), 2),
+    "uncatalogued": [list(GRAMMAR).index(name) for name in ENTRIES],
+    "beyond": range(0, len(BEYOND), 3),
     SPACE + "none": range(3),
     SPACE + "one": range(len(SPACE_NAMES)),
     SPACE + "two": range(3),
 }
-"""One session of each name; of two effects every name, of unnamed ones each way to enter."""
+"""One session of each name; of two effects every name, of unnamed ones each way to enter or a third."""
 
 
 def at_least(share: float, hits: Iterable[bool]) -> bool:
@@ -89,8 +90,8 @@ def test_trace_names_what_is_there_and_nothing_else(kind: str, pools: Pools) -> 
         assert not any(v.wrong for v in verdicts), told(verdicts)
     else:
         # A knee in temperature is one of the supply beside creep, and a chirp is two names.
-        assert missed(v.covariate for v in verdicts) <= 2, told(verdicts)
-        assert missed(not v.wrong for v in verdicts) <= 1, told(verdicts)
+        assert missed(v.covariate for v in verdicts) <= 1, told(verdicts)
+        assert all(not v.wrong for v in verdicts), told(verdicts)
     ratios = [v.heldout_ratio for v in verdicts if not np.isnan(v.heldout_ratio)]
     assert np.median(ratios) <= 1.10
     assert max(v.worse for v in verdicts) <= 1.05
