@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from adis_gonio import open_sensor
-from adis_gonio.base.errors import FitError
+from adis_gonio.base.errors import DataError, FitError
 from adis_gonio.faces.cli import main
-from adis_gonio.handover.register_offsets import offset_words, registers_text
+from adis_gonio.handover.register_offsets import offset_words, offset_words_in, registers_text
 from handover.calibrations import PLANE, calibration
 
 LSB = 0.4672
@@ -44,6 +44,13 @@ def test_the_lines_are_what_the_registers_command_takes_and_the_bias_is_gone(cap
     words = [line for line in registers_text(calibration(PLANE)).splitlines() if not line.startswith("#")]
     assert main(["registers", "sim:?seed=1", *words]) == 0
     assert "−26" in capsys.readouterr().out
+
+
+def test_a_file_that_is_neither_calibration_nor_session_is_refused(tmp_path):
+    path = tmp_path / "letter.txt"
+    path.write_text("Dear sir")
+    with pytest.raises(DataError, match=r"letter\.txt"):
+        offset_words_in(path)
 
 
 def test_what_has_no_offset_registers_or_no_bias_is_refused():

@@ -350,6 +350,7 @@ def test_page_one_is_a_certificate_that_a_laboratory_can_sign(curved):
     }  # fmt: skip
     assert {name: facts[name] for name in stated} == stated
     assert {"date", "name, signature"} <= set(facts)
+    assert first.count("name, signature") == 1
     assert first.count("<svg") == 2
     answer = answer_with_trace(fits[0], result, own=False)
     statement = state_conformity(Tolerance(0.05), answer.error_curves())

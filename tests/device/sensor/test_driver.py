@@ -17,8 +17,20 @@ from adis_gonio.base.errors import (
     VerifyError,
 )
 from adis_gonio.device.bus import Capability
+from adis_gonio.device.bus.contract import ForwardingBus
 from adis_gonio.device.sensor import DEFAULT_SCAN, Adis16354, Alarm
-from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, FAST, GYRO_OFF, NORMAL, REGISTERS
+from adis_gonio.device.sensor.driver import Undo
+from adis_gonio.device.sensor.registers import (
+    ACCEL_OFF,
+    ACCEL_OUT,
+    BY_NAME,
+    FAST,
+    GYRO_OFF,
+    ND,
+    NORMAL,
+    REGISTERS,
+    read_frame,
+)
 from adis_gonio.sim import SimBus, SimulatedChip, World
 from adis_gonio.sim.chip import State
 from adis_gonio.sim.sampling import OUTPUTS
@@ -244,6 +256,24 @@ def test_the_gyro_scale_follows_the_range():
             assert sensor.read_scans(200).gyro_dps.mean() == pytest.approx(10.0, abs=2.0)
 
 
+def test_ctrl_c_while_registers_are_set_back_is_raised_when_they_are():
+    sensor, bus = recorded()
+    undo = Undo(sensor, [BY_NAME["XACCL_OFF"]])
+    sensor.write("XACCL_OFF", 12)
+    exchange, pressed = bus.exchange_array, iter([True])
+
+    def press(frames):
+        if next(pressed, False):
+            raise KeyboardInterrupt
+        return exchange(frames)
+
+    bus.exchange_array = press
+    with pytest.raises(KeyboardInterrupt):
+        undo.put_back()
+    assert undo.unrestored == ()
+    assert sensor.read("XACCL_OFF") == 0
+
+
 # -- scans ------------------------------------------------------------------------------------------
 
 
@@ -269,6 +299,31 @@ def test_polling_and_streaming_find_the_same_scans_untorn_and_none_lost(names, s
     # Both chips are the same; the two ways only begin at different updates.
     offsets = [k for k in range(-140, 41) if np.array_equal(polled[150:500], streamed[150 + k : 500 + k])]
     assert len(offsets) == 1
+
+
+class MisreadBus(ForwardingBus):
+    """Clears the flag ND of one word of YACCL_OUT, as a disturbed line may."""
+
+    left = 0
+
+    def _exchange(self, frames):
+        replies = super()._exchange(frames)
+        for k in np.flatnonzero(frames[:-1] == read_frame(BY_NAME["YACCL_OUT"])):
+            if replies[k + 1] & ND:
+                self.left -= 1
+                if not self.left:
+                    replies[k + 1] ^= ND
+        return replies
+
+
+def test_an_update_with_a_misread_flag_is_counted_as_lost_and_not_completed_with_older_words():
+    bus = MisreadBus(open_bus(f"{SIM}&stream=0"))
+    with Adis16354(bus) as sensor:
+        bus.left = 40
+        block = sensor.read_scans(200, ACCEL_OUT)
+    assert bus.left < 0
+    assert block.lost == 1
+    assert (block.words & ND).all()
 
 
 def test_a_pause_of_the_host_is_counted_as_lost_scans_and_does_not_tear_the_rows():
