@@ -94,12 +94,12 @@ FORMATS = (
     ),
 )
 BY_NAME = {one.name: one for one in FORMATS}
-ENDINGS = {ending: one.name for one in FORMATS for ending in one.endings}
 
 
 def format_of(name: str) -> str:
     """Return the name of the export format for the ending of a file name, else raise `UsageError`."""
-    for ending, kind in ENDINGS.items():
-        if name.lower().endswith(ending):
-            return kind
-    raise UsageError(f"{name}: no format has this ending; use {', '.join(ENDINGS)}, or --format")
+    for one in FORMATS:
+        if name.lower().endswith(one.endings):
+            return one.name
+    endings = ", ".join(ending for one in FORMATS for ending in one.endings)
+    raise UsageError(f"{name}: no format has this ending; use {endings}, or --format")

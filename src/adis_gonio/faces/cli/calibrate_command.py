@@ -204,7 +204,7 @@ def _run(
             sensor.url = url  # the port of the simulated board is no name to keep
             if options["rate_hz"] is None and not resume:
                 options["rate_hz"] = FREE_RATE_HZ
-        runner = _runner(sensor, output, resume=resume, advisor=advisor, **options)
+        runner = _runner(sensor, output, options, resume=resume, advisor=advisor)
         plain = plain or options["auto"] or not runner.judges_places  # the screen shows positions
         on_screen, complete = not plain and can_show_screen(), False
         try:
@@ -291,22 +291,14 @@ def _trace(session: Session, advisor: TraceAdvisor) -> TraceResult | None:
 def _runner(
     sensor: SampleSource,
     output: Path,
+    options: dict[str, Any],
     *,
     resume: bool,
     advisor: TraceAdvisor | None,
-    plan_name: str | None,
-    positions: int | None,
-    check: int,
-    auto: bool,
-    extend: bool,
-    duration_s: float | None,
-    turns: int | None,
-    **options: Any,
 ) -> SessionRunner:
-    """Make the runner of a new or resumed session from the options of the command.
+    """Make the runner of a new or resumed session from the options of the command, None if not given.
 
-    `output` is the session file. `plan_name` is None for the default plan; `advisor` is None without a
-    trace. The other arguments are options of the command, None if not given.
+    `output` is the session file; `advisor` is None without a trace.
     """
     from adis_gonio.bench.gyro_turns import ALL_THERMOMETERS
     from adis_gonio.bench.recorder import DURATION_S
@@ -317,12 +309,12 @@ def _runner(
     from adis_gonio.record.plans import GYRO_TURNS
     from adis_gonio.record.session_reader import FREE_TURN
 
+    plan_name, auto, extend = (options[name] for name in ("plan_name", "auto", "extend"))
     if resume:
-        if plan_name is not None or positions is not None or turns is not None:
+        if any(options[name] is not None for name in ("plan_name", "positions", "turns")):
             with ArchiveView(output) as view:
                 own = view.plan()
-            same = plan_name or own.name
-            asked = _choose_plan(same, positions, check, duration_s, turns)
+            asked = _choose_plan(plan_name or own.name, options)
             if (asked.name, asked.turns, asked.positions) != (
                 own.name, own.turns, own.positions[: len(asked)],
             ):  # fmt: skip
@@ -339,10 +331,10 @@ def _runner(
         sigma = known.mark_sigma_deg if plan_name == GYRO_TURNS else known.fixture_sigma_deg
         gravity = known.gravity_mps2 if gravity is None else gravity
         fixture = sigma if fixture is None else fixture
-    chosen = _choose_plan(plan_name, positions, check, duration_s, turns)
+    chosen = _choose_plan(plan_name, options)
     keeps_moves = options["record_turns"]
     settings = option.measuring_settings(
-        dwell_s=(duration_s or DURATION_S) if plan_name == FREE_TURN else options["dwell_s"],
+        dwell_s=(options["duration_s"] or DURATION_S) if plan_name == FREE_TURN else options["dwell_s"],
         settle_s=options["settle_s"],
         rate_hz=options["rate_hz"],
         filter_m=options["filter_m"],
@@ -382,10 +374,8 @@ def _metadata(options: dict[str, Any], *, ask: bool) -> dict[str, str]:
     return written
 
 
-def _choose_plan(
-    name: str | None, positions: int | None, check: int, duration_s: float | None, turns: int | None
-) -> Plan:
-    """Return the plan that the options name; the arguments are None if not given.
+def _choose_plan(name: str | None, options: dict[str, Any]) -> Plan:
+    """Return the plan of a name (None: the default plan) with the options of the command.
 
     It raises `UsageError` for an option that the plan does not take.
     """
@@ -396,10 +386,11 @@ def _choose_plan(
     name = name or DEFAULT_PLAN
     others = _POSITION_OPTIONS | {"duration_s", "turns"}
     option.refuse(sorted(others - _PLAN_OPTIONS.get(name, _POSITION_OPTIONS)), f"not with --plan {name}")
+    positions, turns = options["positions"], options["turns"]
     if name == "free-turn":
         turns = recorder.TURNS if turns is None else turns
-        return recorder.free_turn_plan(turns, duration_s or recorder.DURATION_S)
+        return recorder.free_turn_plan(turns, options["duration_s"] or recorder.DURATION_S)
     if name == "gyro-turns":
         turns = gyro_turns.TURNS if turns is None else turns
         return gyro_turns.gyro_turns_plan(turns, 6 if positions is None else positions)
-    return find_plan(name, positions, check)
+    return find_plan(name, positions, options["check"])

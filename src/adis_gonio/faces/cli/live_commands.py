@@ -92,7 +92,7 @@ def stream_command(
     other registers are unchanged unless --rate, --filter or --range is given.
     """
     with contextlib.ExitStack() as stack:
-        part, configured, open_stream = _open_stream(stack, url, names, **chip)
+        part, configured, open_stream = _open_stream(stack, url, names, chip)
         rate_hz, filter_m = configured["sample_rate_hz"], configured.get("filter_m")
         recorder = None
         if output is not None:
@@ -111,42 +111,35 @@ def stream_command(
 
 
 def _open_stream(
-    stack: contextlib.ExitStack,
-    url: str,
-    names: str | None,
-    *,
-    rate_hz: float | None,
-    filter_m: int | None,
-    range_dps: int | None,
-    leave_registers: bool,
-    poll: bool,
-    variant: str,
-    no_check: bool,
+    stack: contextlib.ExitStack, url: str, names: str | None, chip: dict[str, Any]
 ) -> tuple[str, dict[str, Any], Callable[[int], SampleStream]]:
     """Open a sensor; return its variant, its configuration, and a function that starts the stream.
 
     The function takes the number of scans in a block. `stack` closes the sensor; `names` are the registers
-    to scan, separated by commas, None for the default ones; the other arguments are the options of
-    `stream`, None if not given.
+    to scan, separated by commas, None for the default ones; `chip` has the other options of `stream`, None
+    if not given.
     """
-    own = ("names", "leave_registers", "poll", "rate_hz", "filter_m", "range_dps", "no_check")
+    configured_by = ("rate_hz", "filter_m", "range_dps")
+    own = ("names", "leave_registers", "poll", "no_check", *configured_by)
     refuse_chip_options(url, option.given_flags(*own))
-    configures = not (rate_hz is filter_m is range_dps is None)
-    if leave_registers:
-        option.refuse(("rate_hz", "filter_m", "range_dps"), "--leave-registers writes nothing")
+    if chip["leave_registers"]:
+        option.refuse(configured_by, "--leave-registers writes nothing")
     scan = tuple(row.name for row in registers(names.split(","))) if names else DEFAULT_SCAN
     if not has_frames(url):
         source = stack.enter_context(open_source(url))
         configured = source.configure(Settings()).as_dict()
         return source.part.name, configured, partial(source.samples, Settings())
-    sensor = stack.enter_context(open_sensor(url, variant=variant, check=not no_check))
-    if configures:
+    sensor = stack.enter_context(open_sensor(url, variant=chip["variant"], check=not chip["no_check"]))
+    rate_hz, filter_m, range_dps = (chip[name] for name in configured_by)
+    if not (rate_hz is filter_m is range_dps is None):
         sensor.configure(sample_rate_hz=rate_hz, filter_m=filter_m, gyro_range_dps=range_dps)
 
     def stream(block_scans: int) -> SampleStream:
-        data_ready = False if poll else None
         return sensor.stream(
-            scan, block_scans=block_scans, leave_registers=leave_registers, data_ready=data_ready
+            scan,
+            block_scans=block_scans,
+            leave_registers=chip["leave_registers"],
+            data_ready=False if chip["poll"] else None,
         )
 
     return sensor.variant.name, sensor.configuration().as_dict(), stream

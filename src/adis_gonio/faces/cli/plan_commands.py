@@ -72,7 +72,7 @@ if TYPE_CHECKING:
 @option.settle
 @option.rate
 @option.filter
-@option.gravity()
+@option.gravity(default=STANDARD_GRAVITY_MPS2)
 @option.with_default("--sensor", default="adis16354", help="adis16354, adis16350 or adis16355.")
 @option.seed(1, "Seed of the search.")
 @option.output("Plan file to write, for calibrate --plan FILE.")
@@ -90,12 +90,18 @@ def plan_command(
     """
     from adis_gonio.plan import find_plan
     from adis_gonio.plan.optimal_plan import prediction_lines
-    from adis_gonio.plan.prediction import predict
+    from adis_gonio.plan.prediction import Bench, predict
     from adis_gonio.record.plans import document_of, write_plan
 
     if output is not None and not ends_in(output, ".json"):
         raise UsageError(f"{output}: a plan is a JSON file: name it .json")
-    bench = _bench(**options)
+    bench_options = ("fixture_deg", "sensor", "noise_mg", "flicker_mg", "start_deg")
+    measuring = ("dwell_s", "settle_s", "rate_hz", "filter_m")
+    bench = Bench(
+        **{name: options[name] for name in bench_options},
+        gravity_mps2=options["gravity_mps2"],
+        settings=option.measuring_settings(**{name: options[name] for name in measuring}),
+    )
     found: BestPlan | None = None
     if options["plan_name"] is not None:
         option.refuse(("minutes", "best", "beware"), "--plan evaluates a plan as it is")
@@ -103,7 +109,7 @@ def plan_command(
         prediction = predict(plan, bench)
     else:
         with report_progress("searching for the best plan"):
-            found = _search(bench, tolerance, **options)
+            found = _search(bench, tolerance, options)
         prediction = found.prediction
     if output is not None:
         write_plan(output, prediction.plan, None if found is None else found.made_for())
@@ -120,43 +126,21 @@ def plan_command(
         click.echo(f"next: adis-gonio calibrate URL --plan {output}{dwell} -o NAME.session")
 
 
-def _bench(*, gravity_mps2: float | None, **options: Any) -> Bench:
-    from adis_gonio.plan.prediction import Bench
-
-    bench = ("fixture_deg", "sensor", "noise_mg", "flicker_mg", "start_deg")
-    measuring = ("dwell_s", "settle_s", "rate_hz", "filter_m")
-    return Bench(
-        **{name: options[name] for name in bench},
-        gravity_mps2=STANDARD_GRAVITY_MPS2 if gravity_mps2 is None else gravity_mps2,
-        settings=option.measuring_settings(**{name: options[name] for name in measuring}),
-    )
-
-
-def _search(
-    bench: Bench,
-    tolerance: Tolerance | None,
-    *,
-    positions: int | None,
-    minutes: float | None,
-    beware: str,
-    best: Any,
-    grid_deg: float,
-    seed: int,
-    **_: Any,
-) -> BestPlan:
+def _search(bench: Bench, tolerance: Tolerance | None, options: dict[str, Any]) -> BestPlan:
     from adis_gonio.plan.optimal_plan import best_plan, fewest_positions, positions_in
 
-    given = sum(value is not None for value in (positions, minutes))
-    if given > 1 or (not given and tolerance is None):
+    count, minutes = options["positions"], options["minutes"]
+    given = [value for value in (count, minutes) if value is not None]
+    if len(given) > 1 or not (given or tolerance):
         raise UsageError("give one of --positions, --tolerance and --minutes, or --plan to evaluate one")
     option.refuse(("check",), "goes with --plan; calibrate --plan FILE --check adds them to a plan file")
-    names = tuple(name.strip() for name in beware.split(",") if name.strip())
-    best = best or ("tell-apart" if names else "angle")
-    if not given and tolerance is not None:
-        return fewest_positions(bench, tolerance, best, names, grid_deg=grid_deg, seed=seed)
-    count = positions_in(bench, minutes) if minutes is not None else positions
-    assert count is not None  # one of the two was given
-    return best_plan(bench, count, best, names, grid_deg=grid_deg, seed=seed)
+    names = tuple(name.strip() for name in options["beware"].split(",") if name.strip())
+    best: Any = options["best"] or ("tell-apart" if names else "angle")
+    grid = {name: options[name] for name in ("grid_deg", "seed")}
+    if tolerance is not None and not given:
+        return fewest_positions(bench, tolerance, best, names, **grid)
+    count = positions_in(bench, minutes) if count is None else count
+    return best_plan(bench, count, best, names, **grid)
 
 
 @option.command(
