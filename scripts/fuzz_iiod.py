@@ -22,7 +22,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from adis_gonio.device.sensor import Adis16354
-from adis_gonio.faces.serve import IioServer, ServeSettings
+from adis_gonio.faces.serve import IioServer
 from adis_gonio.sim import World
 from fakes.counting_bus import CountingBus
 
@@ -89,7 +89,7 @@ def fuzz(sensor: Adis16354, size: int, seed: int) -> tuple[int, int, int, list[s
         ports.append(port)
         ready.set()
 
-    server = IioServer(sensor, ServeSettings(port=0), ready=taken)
+    server = IioServer(sensor, port=0, ready=taken)
 
     def run() -> None:
         try:

@@ -5,7 +5,7 @@ import socket
 import threading
 
 from adis_gonio.device.sensor import Adis16354, open_sensor
-from adis_gonio.faces.serve import IioServer, ServeSettings
+from adis_gonio.faces.serve import IioServer
 
 WAIT_S = 300.0
 """A busy machine is slow; what hangs is seen all the same."""
@@ -22,7 +22,7 @@ def served(url="sim:?seed=1", sensor=None, **settings):
             port.append(number)
             ready.set()
 
-        server = IioServer(sensor, ServeSettings(port=0, **settings), tell=told.append, ready=taken)
+        server = IioServer(sensor, port=0, **settings, tell=told.append, ready=taken)
 
         def run():
             try:

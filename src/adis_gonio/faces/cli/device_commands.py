@@ -6,6 +6,7 @@ import ipaddress
 import math
 import re
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -116,7 +117,7 @@ def serve_command(
     can use data-ready, it is enabled during that time and then set back. Anybody who reaches the address
     can connect, because there is no password. Without --listen only this machine reaches it.
     """
-    from adis_gonio.faces.serve import IioServer, ServeSettings
+    from adis_gonio.faces.serve import IioServer
 
     def ready(address: str, taken: int) -> None:
         writing = "clients may write" if allow_writes else "read-only"
@@ -127,8 +128,8 @@ def serve_command(
             click.echo("anybody who reaches this address can connect; there is no password", err=True)
 
     with open_sensor(url, variant=variant, check=not no_check) as sensor:
-        settings = ServeSettings(host, port, allow_writes)
-        IioServer(sensor, settings, tell=lambda line: click.echo(line, err=True), ready=ready).run()
+        tell = partial(click.echo, err=True)
+        IioServer(sensor, host, port, allow_writes=allow_writes, tell=tell, ready=ready).run()
 
 
 @option.command("frames")
@@ -177,7 +178,6 @@ def frames_command(*, recording: Path, scans: bool, variant: str, as_json: bool)
 @option.command("registers")
 @click.argument("url", required=False)
 @click.argument("words", nargs=-1, metavar="[NAME | NAME=VALUE]...")
-@option.flag("--fields", help="Show the bit fields of control registers.")
 @option.flag("--save", help="Save to flash after writing (ENDURANCE goes up by one).")
 @option.file(
     "--cal", "calibration_path",
@@ -190,7 +190,6 @@ def registers_command(
     *,
     url: str | None,
     words: tuple[str, ...],
-    fields: bool,
     save: bool,
     calibration_path: Path | None,
     variant: str,
@@ -209,7 +208,7 @@ def registers_command(
     if url is None:
         if calibration_path is not None:
             raise UsageError("--cal needs a URL: it is compared with the sensor's offsets")
-        _show_registers([(row, None) for row in REGISTERS], {}, fields=fields, as_json=as_json)
+        _show_registers([(row, None) for row in REGISTERS], {}, as_json=as_json)
         return
     matches = [(word, _ASSIGNMENT.fullmatch(word)) for word in words]
     writes = [(register(match["name"]), match["value"]) for _, match in matches if match]
@@ -233,7 +232,7 @@ def registers_command(
         if not save and any(row.flash_mask for row, _ in writes):
             click.echo("volatile until saved to flash (--save)", err=True)
         held = [(row, sensor.quantity(row)) for row in [row for row, _ in writes] + reads]
-        _show_registers(held, wanted, fields=fields, as_json=as_json)
+        _show_registers(held, wanted, as_json=as_json)
 
 
 def _parse_number(sensor: Adis16354, row: Register, text: str) -> int:
@@ -262,13 +261,13 @@ def _parse_number(sensor: Adis16354, row: Register, text: str) -> int:
 
 
 def _show_registers(
-    rows: list[tuple[Register, Any]], wanted: Mapping[str, OffsetWord], *, fields: bool, as_json: bool
+    rows: list[tuple[Register, Any]], wanted: Mapping[str, OffsetWord], *, as_json: bool
 ) -> None:
     """Show registers with their contents as numbers and as physical values.
 
     `rows` has each register with its content as a `Quantity`, or None if the register was not read.
-    `wanted` has the offsets of a calibration by register name; `fields` also shows the bit fields.
-    `as_json` prints a JSON document instead of a table.
+    `wanted` has the offsets of a calibration by register name; `as_json` prints a JSON document instead of
+    a table.
     """
     for row, quantity in rows:
         if row.name.startswith("ALM_MAG") and quantity is not None and quantity.number == MARK:
@@ -299,11 +298,10 @@ def _show_registers(
             cells = [f"{row.bits}{'s' if row.signed else 'u'}", access, row.confidence]
             meaning += f" (default 0x{row.default:04X})" if row.default else ""
         listed.append([row.name, f"0x{row.address:02X}", *cells, meaning])
-        for field in row.fields if fields or (with_values and len(rows) <= 4) else ():
+        for field in row.fields if with_values and len(rows) <= 4 else ():
             bits = f"[{field.high}:{field.low}]" if field.high != field.low else f"[{field.low}]"
-            held = [str(field.of(quantity.number))] if with_values else []
-            spare = [""] * (len(cells) - len(held))
-            listed.append([f"  {field.name}", bits, *held, *spare, field.meaning])
+            held = [str(field.of(quantity.number)), *[""] * (len(cells) - 1)]
+            listed.append([f"  {field.name}", bits, *held, field.meaning])
     screen = console()
     texts = {0, 1, len(head) - 1} | (set() if with_values else {3, 4})
     print_table(screen, head, listed, texts)

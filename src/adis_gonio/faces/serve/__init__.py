@@ -4,6 +4,6 @@
 XML, and the only reader of the sensor, which distributes its scans. `iio_server` answers the clients.
 """
 
-from adis_gonio.faces.serve.iio_server import PORT, IioServer, ServeSettings
+from adis_gonio.faces.serve.iio_server import PORT, IioServer
 
-__all__ = ["PORT", "IioServer", "ServeSettings"]
+__all__ = ["PORT", "IioServer"]

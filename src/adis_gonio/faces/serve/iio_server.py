@@ -11,7 +11,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -95,7 +94,7 @@ class ClientSession:
         self._reader = reader
         self._writer = writer
         self._device, self._sampler, self._hub = server.device, server.sampler, server.hub
-        self._allow_writes = server.settings.allow_writes
+        self._allow_writes = server.allow_writes
         self._buffer: iio_device.Buffer | None = None
         self._lost_before = 0
         self._timeout_s: float | None = None
@@ -316,26 +315,6 @@ async def _result(future: Future[T]) -> T:
         raise Refused(Errno.EIO) from reason
 
 
-@dataclass(frozen=True)
-class ServeSettings:
-    """Options of the IIO server.
-
-    Attributes
-    ----------
-    host, port : str, int
-        Address to listen on; port 0 takes a free one.
-    allow_writes : bool
-        True lets clients write attributes.
-    queue_s : float
-        Time without a read after which a client begins to lose its oldest scans.
-    """
-
-    host: str = "127.0.0.1"
-    port: int = PORT
-    allow_writes: bool = False
-    queue_s: float = iio_device.QUEUE_S
-
-
 class IioServer:
     """Serves a sensor until it is stopped, or the sensor fails.
 
@@ -343,6 +322,12 @@ class IioServer:
     ----------
     sensor : Adis16354
         The open sensor, which stays open afterwards; the server must be its only user.
+    host, port : str, int
+        Address to listen on; port 0 takes a free one.
+    allow_writes : bool
+        True lets clients write attributes.
+    queue_s : float
+        Time without a read after which a client begins to lose its oldest scans.
     tell : callable
         Called with one-line messages.
     ready : callable
@@ -352,18 +337,22 @@ class IioServer:
     def __init__(
         self,
         sensor: Adis16354,
-        settings: ServeSettings,
+        host: str = "127.0.0.1",
+        port: int = PORT,
         *,
+        allow_writes: bool = False,
+        queue_s: float = iio_device.QUEUE_S,
         tell: Callable[[str], object] = lambda line: None,
         ready: Callable[[str, int], object] = lambda host, port: None,
     ) -> None:
-        self.settings = settings
+        self.allow_writes = allow_writes
+        self._address = host, port
         self._tell = tell
         self._ready = ready
         description = f"{sensor.variant.name.upper()} at {sensor.bus.url}, adis-gonio {__version__}"
         self.device = iio_device.ServedDevice(sensor.variant, description)
         self.sampler = iio_device.Sampler(sensor, self._scans_came, self._sensor_failed)
-        self.hub = iio_device.Hub(self.sampler.want, settings.queue_s)
+        self.hub = iio_device.Hub(self.sampler.want, queue_s)
         self._clients: dict[ClientSession, asyncio.Task[None]] = {}
         self._loop: asyncio.AbstractEventLoop | None = None
         self._end = asyncio.Event()
@@ -387,7 +376,7 @@ class IioServer:
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()
         self._loop.set_exception_handler(_report)
-        host, port = self.settings.host, self.settings.port
+        host, port = self._address
         try:
             server = await asyncio.start_server(self._connected, host, port, limit=LINE_LIMIT)
         except (OSError, UnicodeError) as error:  # a UnicodeError for a name that no host can have
