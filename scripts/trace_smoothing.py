@@ -31,7 +31,7 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm
 from adis_gonio.model.effects import effect
-from adis_gonio.tracing.smooth_candidates import evidence, processes
+from adis_gonio.tracing.averaging import evidence, processes
 from adis_gonio.tracing.validation import residuals_on, rms
 from tracing.blind import Blind, draw, write
 from tracing.lens import Lens

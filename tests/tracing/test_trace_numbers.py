@@ -24,7 +24,7 @@ from adis_gonio.fitting.estimation.readings import Readings, from_means
 from adis_gonio.fitting.estimation.terms import Basis
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import MeanRate, SessionOrigin
-from adis_gonio.tracing.averaging import AveragedTerm, average
+from adis_gonio.tracing.averaging import AveragedTerm, average, processes
 from adis_gonio.tracing.credible_sets import Names, judge, set_of, undecided
 from adis_gonio.tracing.findings import differs_from_zero
 from adis_gonio.tracing.grammar import nameless_terms
@@ -33,7 +33,6 @@ from adis_gonio.tracing.linear_problem import linearise, span
 from adis_gonio.tracing.named_candidates import cycles_shown, named_terms
 from adis_gonio.tracing.scatter import with_scatter
 from adis_gonio.tracing.selection import select
-from adis_gonio.tracing.smooth_candidates import processes
 from adis_gonio.tracing.trace_result import Finding
 from adis_gonio.tracing.validation import (
     Fold,

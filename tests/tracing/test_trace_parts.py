@@ -27,7 +27,7 @@ from adis_gonio.fitting.estimation.terms import NamelessTerm
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import MeanRate
 from adis_gonio.tracing import averaging, selection as choice
-from adis_gonio.tracing.averaging import AveragedTerm, average
+from adis_gonio.tracing.averaging import RING, AveragedTerm, average, evidence, processes
 from adis_gonio.tracing.credible_sets import Names, probability_of
 from adis_gonio.tracing.grammar import nameless_terms
 from adis_gonio.tracing.linear_problem import LinearProblem
@@ -42,7 +42,6 @@ from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.proposals import fitted_hypothesis, parameter_prior, whitened_columns
 from adis_gonio.tracing.selection import select
 from adis_gonio.tracing.session_blocks import orthonormal, project_off_base
-from adis_gonio.tracing.smooth_candidates import RING, evidence, processes
 from adis_gonio.tracing.trace import disagreement_of, refuse_too_few, weak_names
 from adis_gonio.tracing.trace_result import ErrorFigures, Finding
 from adis_gonio.tracing.validation import (

@@ -8,11 +8,10 @@ from scipy import stats
 
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.terms import NamelessTerm
-from adis_gonio.tracing.averaging import AveragedTerm, average
+from adis_gonio.tracing.averaging import AMPLITUDES, AveragedTerm, average, evidence, processes
 from adis_gonio.tracing.grammar import nameless_terms
 from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.selection import select
-from adis_gonio.tracing.smooth_candidates import AMPLITUDES, evidence, processes
 from adis_gonio.tracing.trace import trace_readings
 from tracing.small_problems import observations
 

@@ -37,11 +37,11 @@ from adis_gonio.base.budget import check
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import Term
+from adis_gonio.tracing.averaging import evidence, processes
 from adis_gonio.tracing.linear_problem import LinearProblem, span
 from adis_gonio.tracing.model_search import Model, search, weigh
 from adis_gonio.tracing.selection import Selection, select
 from adis_gonio.tracing.session_blocks import orthonormal
-from adis_gonio.tracing.smooth_candidates import evidence, processes
 from adis_gonio.tracing.thresholds import limits
 
 Kind = Literal["reading_scatter", "fixture_scatter"]
