@@ -125,6 +125,17 @@ def live(
     return reading
 
 
+def test_u_of_a_corrected_angle_has_the_drift_since_the_calibration(calibration):
+    rng = np.random.default_rng(2)
+    blocks = at_rest(20.0, 400, 2.0, rng)
+    parts = ("adis16354", "generic")
+    meters = [AngleMeter(Rate(100.0), 2.0, 0.0, calibration, part=part, every_s=4.0) for part in parts]
+    known, unknown = (readings(meter, blocks, block=10)[0] for meter in meters)
+    octaves, floor_mg = 17, 0.1  # each octave has half of the square of the Allan floor
+    drift_deg = math.degrees(1e-3 * floor_mg * math.sqrt(octaves / 2))
+    assert known.u_deg == pytest.approx(math.hypot(unknown.u_deg, drift_deg), rel=1e-3)
+
+
 @pytest.mark.parametrize("angle_deg", [37.5, 200.0, -75.0])
 def test_a_calibration_gives_the_stages_angle_where_the_raw_one_is_off(calibration, angle_deg):
     reading = live(calibration, angle_deg)

@@ -167,8 +167,9 @@ class LiveAngle:
         Angle computed with the calibration; None without a calibration, or if gravity is perpendicular to
         the plane.
     u_deg : float or None
-        Standard uncertainty of the corrected angle: by the noise of the newest samples, and by the
-        calibration. Without a calibration by the noise alone. None if unknown, and with a single sample.
+        Standard uncertainty of the corrected angle: by the noise of the newest samples, by the 1/f noise
+        since the calibration, and by the calibration. Without a calibration by the noise alone. None if
+        unknown, and with a single sample.
     still : bool or None
         True if no axis varies by more than at rest, over a window of samples; None until the first window
         is complete.
@@ -252,6 +253,7 @@ class AngleMeter:
         self._calibration = calibration
         sensing = sensing_of(measuring, part, noise_mg)
         self._drift_rad = sensing.drift_mg / 1000  # gravity is 1000 mg
+        self._drift_deg = math.degrees(sensing.drift_rms_mg / 1000)
         gyro = None if calibration is None else calibration.gyro
         stated = {} if gyro is None else {one.name: one.u for one in gyro.parameters}
         self._smoother = AngleSmoother(
@@ -316,7 +318,8 @@ class AngleMeter:
         corrected_deg = None
         if self._calibration is not None:
             corrected_deg, u_deg = corrected_angle(self._calibration, mean, temperature_c, u_mg)
-            u_deg = None if u_mg is None or u_deg is None else math.hypot(u_deg, self._off_deg)
+            if u_deg is not None:
+                u_deg = None if u_mg is None else math.hypot(u_deg, self._drift_deg, self._off_deg)
         return LiveAngle(
             end_s - first_s,
             raw_deg,

@@ -185,6 +185,11 @@ class Sensing:
         return ((1 << self.filter_m) - 1) * self.period_s
 
     @property
+    def drift_rms_mg(self) -> float:
+        """Standard deviation in mg of the 1/f noise of all octaves."""
+        return self.drift_mg * math.sqrt(OCTAVES / 2)
+
+    @property
     def step_noise_mg2(self) -> float:
         """Variance in mg² that white noise gives the mean acceleration of a time step."""
         return self.noise_mg**2 / self.step_samples
@@ -935,9 +940,7 @@ class AngleSmoother:
         mean, u = state.mean[SIZE:], np.sqrt(np.maximum(np.diag(state.covariance)[SIZE:], 0.0))
         notes = tuple(name for name in _NOTES if any(name in one.notes for one in self._seen))
         drift_dps = mean[ZERO] + at.force_g @ mean[[G_X, G_Y]]
-        # Standard deviation of the angle by the 1/f noise of all octaves.
-        drift_mg = self._sensing.drift_mg * math.sqrt(OCTAVES / 2)
-        drift_deg = math.degrees(drift_mg / max(abs(at.gravity), 1.0))
+        drift_deg = math.degrees(self._sensing.drift_rms_mg / max(abs(at.gravity), 1.0))
         return SmoothedAngle(
             at.increment.time_s - self._sensing.delay_s,
             wrap_degrees(float(mean[ANGLE])),
