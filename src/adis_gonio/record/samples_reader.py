@@ -6,8 +6,8 @@ quoted. In other files the numbers have to prove the decimal mark (point or comm
 only have a decimal comma, while the comma of `1,234` may also separate thousands. A file without proof is
 refused, and so is a number with another mark.
 
- Comments, empty rows at the end and an incomplete last row are left out. Columns with one
-value for each dwell are kept as runs of equal text, so that memory is used for little but the numbers.
+Comments, empty rows at the end and an incomplete last row are left out. Columns with one value for each
+dwell are kept as runs of equal text, so that memory is used for little but the numbers.
 
 A file without the column `position` is one continuous recording: its dwells are found by stillness
 (`adis_gonio.record.segmentation`), and `Session.notes` describes them.
@@ -74,6 +74,8 @@ class SamplesTable:
         empty; complete after `finish`.
     notes : list of str
         Remarks on the head and on rows that were left out.
+    lines : array of int
+        Line number in the file, from 1, of each row of the table.
     """
 
     def __init__(self, head: samples_header.Head) -> None:
@@ -84,8 +86,7 @@ class SamplesTable:
         # Arrays that grow at their end without a copy, row after row.
         self._numbers = {name: (members, array("d")) for name, members in present.items() if members}
         self._rows, self._latest_s = 0, -math.inf
-        self._lines = array("I")
-        """Line number of each row."""
+        self.lines = array("I")
         self._decimal, self._proved = ".", False
         """Decimal mark, and whether a number has proved it."""
         self._doubtful: tuple[str, str, int] | None = None
@@ -99,15 +100,8 @@ class SamplesTable:
     def __len__(self) -> int:
         return self._rows
 
-    def line_of(self, row: int) -> int:
-        """Return the line number in the file, from 1, of a row of the table."""
-        return self._lines[row]
-
-    def fail(self, row: int, message: str) -> DataError:
-        """Return a `DataError` with a message about a row; it names file and line."""
-        return self._fail_line(self.line_of(row), message)
-
-    def _fail_line(self, line: int, message: str) -> DataError:
+    def fail(self, line: int, message: str) -> DataError:
+        """Return a `DataError` with a message about a line of the file, by its number; it names both."""
         return DataError(f"{self.head.path.name}, row {line}: {message}")
 
     def _plain_number(self, cell: str) -> float:
@@ -217,9 +211,9 @@ class SamplesTable:
             elif len(cells) < width:
                 wrong = there
             elif len(cells) > width and any(cells[width:]):
-                raise self._fail_line(number, there + self._hint(len(cells)))
+                raise self.fail(number, there + self._hint(len(cells)))
         if self._waiting is not None and note:
-            raise self._fail_line(*self._waiting[:2])
+            raise self.fail(*self._waiting[:2])
         if wrong:
             self._waiting = self._waiting or (number, wrong, note)
             return None
@@ -233,13 +227,13 @@ class SamplesTable:
 
     def _add(self, rows: list[list[str]], lines: list[int]) -> None:
         """Add rows of cells, each with its line number, to the arrays."""
-        self._lines.extend(lines)
+        self.lines.extend(lines)
         values = self._values(rows, lines)
         time = values["time_s"]
         before = np.concatenate([[self._latest_s], time[:-1]])
         for k in np.flatnonzero(time < before)[:1].tolist():
             text = f"time_s goes back from {before[k]:g} to {time[k]:g}; sort by time"
-            raise self._fail_line(lines[k], text)
+            raise self.fail(lines[k], text)
         same = np.flatnonzero(time == before)
         if same.size and not self._repeated:
             self._first_repeated = lines[int(same[0])]
@@ -301,9 +295,9 @@ class SamplesTable:
                 if (at.tzinfo is None) == (self._began.tzinfo is None):
                     return (at - self._began).total_seconds()
         if self._began is None:
-            raise self._fail_line(line, f"column 'time_s': '{text}' is not a number")
+            raise self.fail(line, f"column 'time_s': '{text}' is not a number")
         like = f"'{text}' is not a time like '{self._began.isoformat(' ')}' before it"
-        raise self._fail_line(line, f"column 'time_s': {like}")
+        raise self.fail(line, f"column 'time_s': {like}")
 
     def _number(self, name: str, cell: str, line: int) -> float:
         cell = cell.strip()
@@ -318,7 +312,7 @@ class SamplesTable:
                 return value
             kind = "too large for a measurement" if math.isfinite(value) else "not a finite number"
             wrong = f"{cell} is {kind}; leave such rows out"
-        raise self._fail_line(line, f"column '{name}': {wrong}")
+        raise self.fail(line, f"column '{name}': {wrong}")
 
     def finish(self) -> None:
         """Make the arrays after the last chunk, and add remarks on the rows.
@@ -336,7 +330,7 @@ class SamplesTable:
         if self._doubtful is not None and not self._proved:
             _, cell, line = self._doubtful
             bare, as_fraction = cell.replace(self._decimal, ""), cell.replace(",", ".")
-            raise self._fail_line(
+            raise self.fail(
                 line,
                 f"'{cell}' may be {as_fraction} or {bare}, and no number of the file decides it; save it"
                 " with decimal points, and with commas between the cells",
@@ -353,14 +347,14 @@ class SamplesTable:
                 try:
                     runs[k] = row, self._declared_value(name, text) if text else None
                 except ValueError as error:
-                    raise self.fail(row, f"column '{name}': '{text}' {error}") from None
+                    raise self.fail(self.lines[row], f"column '{name}': '{text}' {error}") from None
         for name, (_, numbers) in self._numbers.items():
             rows = np.frombuffer(numbers)
             self.series[name] = rows.reshape(len(self), -1) if name in ("accel", "gyro") else rows
         column, time_s = self.head.columns["time_s"], self.series["time_s"][: 1 << 16]
         step = float(np.median(np.diff(time_s))) if len(self) > 1 else 0.0
         if step >= _SLOWEST_S and not (self._began or column.plain or column.unit):
-            raise self._fail_line(
+            raise self.fail(
                 self.head.line,
                 f"column '{column.text}' states no unit and its rows are {step:g} apart: call it time_s or "
                 f"time_ms, or say --columns time_ms={column.text}",
@@ -486,7 +480,7 @@ def _dwell(table: SamplesTable, number: int, rows: slice, **declared: Any) -> Dw
     """
     return Dwell(
         position=number,
-        first_row=table.line_of(rows.start),
+        first_row=table.lines[rows.start],
         **declared | {name: values[rows] for name, values in table.series.items()},
     )
 
@@ -525,16 +519,20 @@ def _dwells_by_position(table: SamplesTable) -> tuple[list[int], list[slice]]:
             continue
         if number in slices:
             raise table.fail(
-                row,
+                table.lines[row],
                 f"position {number} occurs again after another one (first in row "
-                f"{table.line_of(slices[number].start)}); "
+                f"{table.lines[slices[number].start]}); "
                 "the rows of a dwell must be contiguous: give a second visit a number of its own",
             )
         if len(slices) == MOST_DWELLS:
-            raise table.fail(row, f"more than {counted(MOST_DWELLS, 'position')}: divide the file")
+            raise table.fail(
+                table.lines[row], f"more than {counted(MOST_DWELLS, 'position')}: divide the file"
+            )
         latest, slices[number] = number, slice(row, end)
     if not slices:
-        raise table.fail(0, "column 'position' is empty: number the dwells, or remove the column")
+        raise table.fail(
+            table.lines[0], "column 'position' is empty: number the dwells, or remove the column"
+        )
     return list(slices), list(slices.values())
 
 
@@ -603,5 +601,5 @@ def _one_value(table: SamplesTable, name: str, stated: Runs) -> Any:
     for row, other in stated:
         if other != value:
             change = f"changes within a dwell from {value} to {other}"
-            raise table.fail(row, f"{name} {change}; a new setting is a new position")
+            raise table.fail(table.lines[row], f"{name} {change}; a new setting is a new position")
     return value
