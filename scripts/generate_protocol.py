@@ -162,7 +162,7 @@ def module(table: Table) -> str:
         out += ["", "", f"class {title}(IntEnum):", f'    """{text}"""', ""]
         for name, row in table[key].items():
             out += [f"    {name.upper()} = {row['code']}", f'    """{sentence(row["text"])}."""']
-    out += ["", "", "REFUSAL_TEXT = {"]
+    out += ["", "", "REFUSAL_TEXT: dict[int, str] = {"]
     out += [f'    Refusal.{name.upper()}: "{row["text"]}",' for name, row in table["errors"].items()]
     out += ["}"]
     for name, _, text, fields in rows:

@@ -25,7 +25,7 @@ def blocks(count: int, length: int, lost: dict[int, int] | None = None) -> list[
 
 
 def recording(dwell_s: float = 1.0, settle_s: float = 0.5) -> Recording:
-    return Recording(0, Position(0.0), "2026-01-01T00:00:00+00:00", 0.0, dwell_s, settle_s, PERIOD)
+    return Recording(0, Position(0.0), ("2026-01-01T00:00:00+00:00", 0.0), dwell_s, settle_s, PERIOD)
 
 
 def test_the_dwell_begins_one_settling_after_the_first_still_window():

@@ -24,17 +24,10 @@ from adis_gonio.bench.events import (
 from adis_gonio.bench.guards import Guard, drift_guard, judge_dwell, judge_shift
 from adis_gonio.bench.recorder import BROKEN_STREAM, Recorder
 from adis_gonio.bench.session_state import vector
+from adis_gonio.device.sensor.registers import SUPPLY_LIMITS_V
 from adis_gonio.device.sensor.settings import ScanBlock, Status
 from adis_gonio.record.archive_tables import Attempt, Move, Outcome, Phase
-from adis_gonio.record.blocks import (
-    SUPPLY_LIMITS_V,
-    WITHOUT_NEWS,
-    Block,
-    count_alarms,
-    cut,
-    find_alarms,
-    join,
-)
+from adis_gonio.record.blocks import WITHOUT_NEWS, Block, count_alarms, cut, find_alarms, join
 from adis_gonio.record.plans import Position
 from adis_gonio.record.stillness import Look
 
@@ -50,7 +43,7 @@ class Recording:
     ----------
     place, position : int, Position
         Index of the position in the plan, and the position.
-    started_utc, started_bus_s : str, float
+    began : (str, float)
         Beginning of the attempt by the wall clock (ISO 8601) and by the bus's clock in s.
     dwell_s, settle_s, period_s : float
         Length of the dwell, wait before it, period of the samples, in s.
@@ -72,8 +65,7 @@ class Recording:
 
     place: int
     position: Position
-    started_utc: str
-    started_bus_s: float
+    began: tuple[str, float]
     dwell_s: float
     settle_s: float
     period_s: float
@@ -176,17 +168,11 @@ class Recording:
 
         `ended_bus_s` is its end on the bus's clock in s, and `reason` the reason of an interruption.
         """
+        status = None if self.status is None else self.status.word
+        blocks: list[tuple[Phase, Block]] = [("before", block) for block in self.earlier]
+        blocks += self._pieces()
         return Attempt(
-            self.place,
-            self.position,
-            outcome,
-            self.started_utc,
-            self.started_bus_s,
-            ended_bus_s,
-            [*(("before", block) for block in self.earlier), *self._pieces()],
-            self.moves,
-            reason,
-            None if self.status is None else self.status.word,
+            self.place, self.position, outcome, *self.began, ended_bus_s, blocks, self.moves, reason, status
         )
 
     @property
@@ -335,7 +321,7 @@ class DwellRecorder(Recorder):
         return Recording(
             place,
             self._ledger.plan.positions[place],
-            *bench.moment(),
+            bench.moment(),
             bench.settings.dwell_s,
             bench.settle_s,
             bench.period_s,
@@ -444,7 +430,8 @@ class DwellRecorder(Recorder):
         for guard in self._doubts:
             ledger.note("doubt", {"attempt": number, "kind": guard.kind, "message": guard.message})
         ledger.use_attempt(place, number)
-        self._knowledge.learn(place, recording.position, scans, doubted=bool(self._doubts))
+        if self._knowledge.judge is not None:
+            self._knowledge.judge.done(place, recording.position, scans, doubted=bool(self._doubts))
         mean = vector(scans.accel_mg.mean(axis=0))
         yield DwellDone(
             place, recording.position, number, len(scans), scans.lost, mean, count_alarms(scans)

@@ -333,11 +333,6 @@ def load_libiio() -> Any:
     return iio
 
 
-def local_accelerometers() -> list[tuple[str, str]]:
-    """Return id and name of each accelerometer with three axes on this machine."""
-    return [(one.id, one.name or one.id) for one in _devices(LOCAL) if _fits(one, "")]
-
-
 def _devices(context: str) -> list[Any]:
     if context == LOCAL and not SYSFS.is_dir():
         return []
@@ -632,8 +627,12 @@ def open_from_url(url: BusUrl) -> IioSource:
 def find_devices() -> list[Device]:
     """List the accelerometers of this machine; devices of other machines have to be named by address."""
     return [
-        Device(f"iio:{name.removeprefix('iio:')}", f"IIO accelerometer {label}: samples, no registers")
-        for name, label in local_accelerometers()
+        Device(
+            f"iio:{one.id.removeprefix('iio:')}",
+            f"IIO accelerometer {one.name or one.id}: samples, no registers",
+        )
+        for one in _devices(LOCAL)
+        if _fits(one, "")
     ]
 
 

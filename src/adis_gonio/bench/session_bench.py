@@ -6,11 +6,10 @@ import math
 import shlex
 from collections.abc import Sequence
 from datetime import datetime
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import ChipError, SessionError, UsageError
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.record.archive import ArchiveView
@@ -58,13 +57,6 @@ class MovableStage(Protocol):
         """Start full turns in the plane, as slowly as a hand would."""
 
 
-class SimulatedWorld(Protocol):
-    """The simulated surroundings of a sensor; a simulated bus brings one as its attribute `world`."""
-
-    def truth(self, time_s: Floats | None = None) -> dict[str, float]:
-        """Return the true parameters of the simulated sensor, averaged over `time_s` (n,) if given."""
-
-
 class SessionBench:
     """The sensor, the stage and the simulated world of a session, with their configuration.
 
@@ -88,7 +80,8 @@ class SessionBench:
     source : SampleSource
         The sensor as a source of samples.
     stage, world : object or None
-        Stage that the program can move, and simulated world; None without them.
+        Stage that the program can move, and simulated world, whose method `truth(time_s)` returns the true
+        parameters by name, averaged over the times in s; None without them.
     scanning : dict of str to str
         Method by which scans are read, as texts `how` and `caveat`; empty before the first scan.
     """
@@ -97,7 +90,7 @@ class SessionBench:
         self.source = source = as_source(sensor)
         self.settings = settings
         self.stage: MovableStage | None = source.stage
-        self.world: SimulatedWorld | None = source.world
+        self.world: Any = source.world
         self._stream: SampleStream | None = None
         self._moves_until_s = -math.inf
         self.scanning: JsonDict = {}

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees
-from adis_gonio.base.errors import AdisGonioError, UsageError
+from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.bench.events import NoiseMeasured, Problem, Running, Vector, Watching, Withdrawn
 from adis_gonio.bench.guards import Judge, Turning
 from adis_gonio.bench.session_bench import SessionBench
@@ -212,15 +212,8 @@ class Knowledge:
         return judge
 
     def watch(self) -> StillnessWatch:
-        """Return a new detector of stillness.
-
-        Raises
-        ------
-        UsageError
-            The noise is not known yet.
-        """
-        if self.limits is None:
-            raise UsageError("the limits of stillness are not known")
+        """Return a new detector of stillness; the noise must be known."""
+        assert self.limits is not None
         return StillnessWatch(self.limits, self._noise_mg)
 
     def see(self, block: Block) -> None:
@@ -279,14 +272,6 @@ class Knowledge:
             self.lost,
             tolerance_deg,
         )
-
-    def learn(self, place: int, position: Position, scans: Block, *, doubted: bool) -> None:
-        """Take a complete dwell into account in the check of positions.
-
-        `place` is the index of its position in the plan; `doubted` is True if a guard was overruled.
-        """
-        if self.judge is not None:
-            self.judge.done(place, position, scans, doubted=doubted)
 
     def withdraw(self, place: int) -> Withdrawn:
         """Withdraw the dwell of a place (index in the plan) from the session and the check of positions."""

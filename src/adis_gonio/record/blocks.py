@@ -221,9 +221,6 @@ def session_series(columns: dict[str, Floats]) -> dict[str, Any]:
     return made
 
 
-SUPPLY_LIMITS_V = (4.75, 5.25)
-"""Lower and upper limit of the specified supply voltage in V (data sheet; confidence B)."""
-
 WITHOUT_NEWS = "they had no new data (ND), so their data-ready edge did not come from the sensor"
 """Reason why scans were left out (`dropped`), for messages."""
 

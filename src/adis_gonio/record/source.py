@@ -188,8 +188,8 @@ class SampleSource(Closing):
     part : KnownPart
         Properties of the sensor that are known before it is measured.
     stage, world : object or None
-        Stage that moves the sensor, and simulated world (see `session_bench.MovableStage` and
-        `session_bench.SimulatedWorld`); None without them.
+        Stage that moves the sensor (see `session_bench.MovableStage`), and simulated world; None without
+        them.
     kept : tuple of str
         Names of the fields of `Settings` that apply to the sensor; the archive keeps these.
     why_polled : str

@@ -147,7 +147,6 @@ OUTPUTS: tuple[registers.Register, ...] = tuple(row for row in registers.REGISTE
 GYRO_COLUMNS = slice(1, 4)
 ACCEL_COLUMNS = slice(4, 7)
 
-SUPPLY_LIMITS_V = (4.75, 5.25)
 SELF_TEST_ACCEL_MG = 250.0
 SELF_TEST_GYRO_DPS = 50.0
 """Change of a gyro output in °/s under the stimulus of the manual self-test (D).
@@ -311,7 +310,7 @@ class SignalChain:
         # Bits 13:12 of a 12-bit register are not used. Their real content is not known; they are never zero
         # here, so that a driver that does not mask them fails.
         words[:, _NARROW] |= 0x1000 | ((numbers[:, _NARROW] & 1) << 13)
-        low, high = SUPPLY_LIMITS_V
+        low, high = registers.SUPPLY_LIMITS_V
         over = np.abs(inputs.accel_mg).max(axis=1) > 1000.0 * self._variant.accel_range_g
         over |= np.abs(inputs.gyro_dps).max(axis=1) > self.gyro_range_dps
         status = np.asarray(over * _OVER_RANGE, np.int64)

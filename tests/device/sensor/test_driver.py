@@ -1,5 +1,6 @@
 """The driver against the simulated chip, and against buses that misbehave on purpose."""
 
+import math
 import random
 from dataclasses import replace
 
@@ -659,7 +660,7 @@ def test_the_time_of_a_sleep_is_counted_in_half_seconds(seconds, halves):
     sensor, bus = recorded()
     sensor.sleep(seconds)
     assert bus.writes[-1] == 0xBA00 | halves
-    for beyond in (0.2, 128.0):
+    for beyond in (0.2, 128.0, math.nan, math.inf):
         with pytest.raises(UsageError, match=r"sleeps 0\.5 to 127\.5 s"):
             sensor.sleep(beyond)
 

@@ -21,6 +21,7 @@ from adis_gonio.device.sensor.registers import (
     NORMAL,
     RANGE_CODE,
     REGISTERS,
+    SUPPLY_LIMITS_V,
     TEMP_OUT,
     VARIANTS,
     Register,
@@ -29,7 +30,6 @@ from adis_gonio.device.sensor.registers import (
     registers,
 )
 from adis_gonio.device.sensor.settings import Status, mean_at_rest, scales
-from adis_gonio.record.blocks import SUPPLY_LIMITS_V
 
 CLOCKS_HZ = (2e6, 1.5e6, 1e6, 750e3, 500e3, 250e3, 125e3, 62.5e3, 31.25e3)
 """Clocks to try in Hz: steps of the bridges within the limits of the chip's modes."""

@@ -183,10 +183,6 @@ class _Edges:
         return float(np.mean(near & (self.position >= 0)))
 
 
-class _NoEdgeError(Exception):
-    """Raised if no data-ready edge starts a scan."""
-
-
 class DataReady(BringupStep):
     """Tests the data-ready line: rate, leading edge, jitter, missed edges."""
 
@@ -228,14 +224,14 @@ class DataReady(BringupStep):
             self._enable(bench, before, first=True)
             first = self._scan(bench, period)
             self._enable(bench, before, first=False)
-            second = self._scan(bench, period)
-        except _NoEdgeError:
-            return found.not_measured(_NO_EDGE)
+            second = None if first is None else self._scan(bench, period)
         except UsageError as error:
             return found.not_measured(f"this bridge takes no list of {_READS} reads at an edge ({error})")
         finally:
             self._write(bench, before)
             bench.refresh()
+        if first is None or second is None:
+            return found.not_measured(_NO_EDGE)
         return self._judge(bench, period, first, second, found)
 
     def _enable(self, bench: BringupBench, before: int, *, first: bool) -> None:
@@ -272,8 +268,11 @@ class DataReady(BringupStep):
         )
         return f"{rate:.0f} edges a second where {1 / period_s:.1f} updates are configured: {rest}"
 
-    def _scan(self, bench: BringupBench, period_s: float) -> _Edges:
-        """Record scans of one register, started at data-ready edges, each nearly as long as `period_s`."""
+    def _scan(self, bench: BringupBench, period_s: float) -> _Edges | None:
+        """Record scans of one register, started at data-ready edges, each nearly as long as `period_s`.
+
+        Returns None if no edge starts a scan.
+        """
         timing = timing_for(bench.sensor.read("SMPL_PRD"))
         # One more frame fetches the last reply; 5 % of the period is reserved for the bridge.
         frames = _READS + 1
@@ -287,10 +286,10 @@ class DataReady(BringupStep):
         with bench.bus.stream([frame] * _READS, block_scans=self._scans // 4) as stream:
             try:
                 blocks = [next(stream) for _ in range(4)]
-            except BusTimeoutError as error:
+            except BusTimeoutError:
                 if Capability.EVENT_COUNTER in bench.bus.capabilities:  # the counter has seen edges
                     raise
-                raise _NoEdgeError from error
+                return None
         words = np.concatenate([block.words for block in blocks])
         times = np.concatenate([block.time_s for block in blocks])
         lost = sum(block.lost for block in blocks[1:])  # edges before the first block do not count

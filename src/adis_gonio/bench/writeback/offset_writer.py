@@ -12,7 +12,7 @@ answers, and a message reports the state of the sensor.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -29,10 +29,9 @@ from adis_gonio.bench.writeback.offset_checks import (
 )
 from adis_gonio.bench.writeback.offset_plan import WritePlan, recorded_offsets
 from adis_gonio.device.sensor.driver import FLASH_LIFE, FLASH_UPDATE_S, Adis16354, Undo
-from adis_gonio.device.sensor.registers import registers
+from adis_gonio.device.sensor.registers import SUPPLY_LIMITS_V, registers
 from adis_gonio.model.records import Session
 from adis_gonio.record.archive import Archive, ArchiveView, is_archive
-from adis_gonio.record.blocks import SUPPLY_LIMITS_V
 from adis_gonio.record.plans import Position
 from adis_gonio.record.session_reader import read_session
 from adis_gonio.record.source import Settings
@@ -208,8 +207,9 @@ class OffsetWriter:
             self._angle_deg = next((angle for angle in angles if angle is not None), None)
         if own.gyros and own.method is not None:
             raise UsageError(f"{self.path.name}: --method is for accelerometers; leave it out")
-        halves = (Gyros(self.session), Accelerometers(self.session, own.method, self._angle_deg))
-        self._part: Gyros | Accelerometers = halves[0] if own.gyros else halves[1]
+        self._part: Gyros | Accelerometers = (
+            Gyros(self.session) if own.gyros else Accelerometers(self.session, own.method, self._angle_deg)
+        )
         recorded_offsets(self.session, self._part.registers)
         self._plan: WritePlan | None = None
         self._before: Rest | None = None
@@ -386,7 +386,7 @@ class OffsetWriter:
         self._require_supply(before.supply_v)
         operation = Operation(0, "autonull", now, now, now, True, ())
         with self._journal(operation) as journal:
-            journal.note(WriteStep.SAVING, endurance=endurance, beside=self._other_offsets())
+            journal.note(WriteStep.SAVING, endurance=endurance, beside=self._numbers(self._part.others))
             with self._reporting_state():
                 self.sensor.precision_autonull()
                 nulled, after = self._read()
@@ -441,7 +441,7 @@ class OffsetWriter:
         self._require_supply(self.sensor.quantity("SUPPLY_OUT").value)
         now, endurance = self._read()
         _require(now, numbers, "changed by themselves before they were saved")
-        journal.note(WriteStep.SAVING, endurance=endurance, beside=self._other_offsets())
+        journal.note(WriteStep.SAVING, endurance=endurance, beside=self._numbers(self._part.others))
         after = self.sensor.save_to_flash()
         now, _ = self._read()
         _require(now, numbers, "changed while they were saved")
@@ -519,19 +519,13 @@ class OffsetWriter:
 
         Both are read twice, since a dip of the supply may falsify one reading.
         """
-        names = self._part.registers
-        rows = registers((*names, "ENDURANCE"))
+        numbers = self._numbers((*self._part.registers, "ENDURANCE"))
+        endurance = numbers.pop("ENDURANCE")
+        return numbers, endurance
+
+    def _numbers(self, names: Sequence[str]) -> dict[str, int]:
+        rows = registers(names)
         words = self.sensor.read_checked(rows)
-        numbers = {row.name: row.number(word) for row, word in zip(rows, words, strict=True)}
-        return {name: numbers[name] for name in names}, numbers["ENDURANCE"]
-
-    def _other_offsets(self) -> dict[str, int]:
-        """Read the other offset registers (of the gyros if accelerometers are written, or the reverse).
-
-        A flash update saves these registers too.
-        """
-        rows = registers(self._part.others)
-        words = self.sensor.read_words(rows)
         return {row.name: row.number(word) for row, word in zip(rows, words, strict=True)}
 
     def _has_numbers(self, numbers: dict[str, int]) -> bool:

@@ -120,10 +120,7 @@ class RefusedError(Exception):
     """
 
     def __init__(self, request: str, error: wire.Error, *, once: bool) -> None:
-        try:
-            text = wire.REFUSAL_TEXT[wire.Refusal(error.code)]
-        except ValueError:
-            text = f"code {error.code}"
+        text = wire.REFUSAL_TEXT.get(error.code, f"code {error.code}")
         super().__init__(f"the firmware refused {request}: {text} ({error.detail})")
         self.code = error.code
         self.once = once

@@ -648,11 +648,10 @@ class Adis16354(Closing):
 
     def sleep(self, seconds: float) -> None:
         """Put the chip to sleep for 0.5 to 127.5 s; any frame wakes it, so send none meanwhile."""
-        halves = round(seconds * 2)
-        if not 1 <= halves <= 255:
+        if not 0.5 <= seconds <= 127.5:
             raise UsageError(f"the part sleeps 0.5 to 127.5 s, not {seconds:g}")
         # Not read back: the read would wake it.
-        self.bus.exchange_array(write_frames(BY_NAME["SLP_CNT"], halves))
+        self.bus.exchange_array(write_frames(BY_NAME["SLP_CNT"], round(seconds * 2)))
 
     def wake(self) -> None:
         """Wake the chip by a pulse of chip select and wait until it has recovered."""

@@ -342,6 +342,9 @@ The chip allows up to 300 kHz, with a frame period of at least 160 µs and a sta
 timing also keeps the limits of fast mode, so it is safe if the mode is unknown.
 """
 
+SUPPLY_LIMITS_V = (4.75, 5.25)
+"""Lower and upper limit of the specified supply voltage in V (DS, B)."""
+
 FAST_UP_TO = 0x09
 """Largest SMPL_PRD, time-base bit included, at which the chip runs in fast mode (DS, A)."""
 

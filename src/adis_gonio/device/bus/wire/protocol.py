@@ -90,7 +90,7 @@ class Refusal(IntEnum):
     """Another protocol version; detail is the firmware's."""
 
 
-REFUSAL_TEXT = {
+REFUSAL_TEXT: dict[int, str] = {
     Refusal.NO_SESSION: "no hello since power-on: the firmware restarted",
     Refusal.UNKNOWN_REQUEST: "no such request",
     Refusal.BAD_LENGTH: "the body's length does not fit the request",
