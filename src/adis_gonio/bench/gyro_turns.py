@@ -27,6 +27,7 @@ from adis_gonio.bench.recorder import FollowedTurn
 from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.device.sensor.driver import DEFAULT_SCAN
 from adis_gonio.fitting.gyros.turn_integration import Integral, Path, Sampling, integrate
+from adis_gonio.model.effects.base import AXES
 from adis_gonio.record.blocks import Block, join, session_columns, session_series
 from adis_gonio.record.plans import GYRO_TURNS, Plan, Position
 from adis_gonio.record.session_reader import TURNED
@@ -98,6 +99,8 @@ class GyroTurn(FollowedTurn):
         Turn so far about the sensor's axes.
     moved : bool
         True once the sensor has moved.
+    rest_s : float
+        Duration of the present rest in s.
     """
 
     phase = "before"
@@ -112,12 +115,12 @@ class GyroTurn(FollowedTurn):
         self._up = -force.mean(axis=0) / np.linalg.norm(force.mean(axis=0))
         self._last_s: float | None = None
         self.angle_deg: Floats = np.zeros(3)
-        self.moved = False
+        self.moved, self.rest_s = False, 0.0
 
     @property
     def full(self) -> bool:
         """True if the sensor has turned by the requested angle, or lacks less than 30° of it."""
-        return self.moved and abs(self.turned_deg) > abs(self.wanted_deg) - 30.0
+        return self.moved and abs(self.sweeps.angle_deg) > abs(self.wanted_deg) - 30.0
 
     @property
     def ended(self) -> str | None:
@@ -139,12 +142,7 @@ class GyroTurn(FollowedTurn):
     @property
     def across_deg(self) -> float:
         """Angle turned about axes other than the vertical, in degrees."""
-        return float(np.linalg.norm(self.angle_deg - self.turned_deg * self._up))
-
-    @property
-    def about(self) -> str:
-        """Axis of the sensor (`x`, `y` or `z`) with the largest turn."""
-        return "xyz"[int(np.argmax(np.abs(self.angle_deg)))]
+        return float(np.linalg.norm(self.angle_deg - self.sweeps.angle_deg * self._up))
 
     def see(self, block: Block) -> None:
         """Integrate the rates of a block and update the turn."""
@@ -155,10 +153,8 @@ class GyroTurn(FollowedTurn):
         # Integral (3,) of the rates over the block, then its part about the vertical.
         moved = np.diff(np.concatenate([[self._last_s], time])) @ (shown - self._zero)
         self.angle_deg = self.angle_deg + moved
-        self.turned_deg = float(self.angle_deg @ self._up)
-        self.turns_made = int(abs(self.turned_deg) / 360.0)
+        self.sweeps.see(float(self.angle_deg @ self._up))
         self.rate_dps = float(moved @ self._up) / span if span > 0 else 0.0
-        self.travelled_deg += float(np.linalg.norm(moved))
         moves = span > 0 and float(np.linalg.norm(moved)) / span > MOVING_DPS
         self.moved |= moves
         self.rest_s = 0.0 if moves else self.rest_s + span
@@ -234,7 +230,7 @@ class GyroTurnsRecorder(DwellRecorder):
             if self._questions.auto and not self._questions.interrupted:
                 raise SessionError(f"{position}: {why}; check the table and the gyros, then resume")
             return False
-        yield replace(turn.done(), turns=round(abs(turn.turned_deg) / 360.0))
+        yield replace(turn.done(), turns=round(abs(turn.sweeps.angle_deg) / 360.0))
         return (yield from self._judged(turn, rest, blocks))
 
     def _judged(self, turn: GyroTurn, rest: Block, blocks: list[Block]) -> Generator[Event, None, bool]:
@@ -288,7 +284,7 @@ def judge_whole_turn(turn: GyroTurn, found: Integral | str) -> Guard | None:
 
     `found` is the integral of the turn, or the reason as text why it cannot be computed.
     """
-    wanted_deg, turned = turn.wanted_deg, turn.turned_deg
+    wanted_deg, turned = turn.wanted_deg, turn.sweeps.angle_deg
     values = {"asked_deg": wanted_deg, "gyro_deg": turned}
     if isinstance(found, str):
         kind: GuardKind = "shock" if turn.moved else "not_moved"
@@ -296,7 +292,8 @@ def judge_whole_turn(turn: GyroTurn, found: Integral | str) -> Guard | None:
             kind = "over_range"
         return Guard(kind, f"{found}; bring it back to the mark and turn again", values, spoils=True)
     if turn.across_deg > max(0.2 * abs(turned), 2 * OFF_DEG):
-        message = f"turned about {turn.about}, not about the vertical: leave the part flat on the table"
+        about = AXES[int(np.argmax(np.abs(turn.angle_deg)))]
+        message = f"turned about {about}, not about the vertical: leave the part flat on the table"
         return Guard("wrong_axis", message, values, spoils=True)
     off = turned - 360.0 * round(turned / 360.0)
     limit = OFF_SHARE * abs(turned) + OFF_DEG

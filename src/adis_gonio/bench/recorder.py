@@ -55,14 +55,10 @@ class FollowedTurn(ABC):
         Beginning of the piece that is not archived yet: UTC, and time on the bus's clock in s.
     blocks, moves : list
         Scans and moves that are not archived yet.
-    turned_deg, rate_dps : float
-        Turn since the beginning and present rate, counter-clockwise positive.
-    turns_made : int
-        Number of full turns so far.
-    travelled_deg : float
-        Sum of the turns in both directions, each counted as positive.
-    rest_s : float
-        Duration of the present rest in s; 0 if the gyros are not followed.
+    sweeps : Sweeps
+        Turn so far, counter-clockwise positive: present angle, full turns and travel.
+    rate_dps : float
+        Present rate, counter-clockwise positive.
     samples, lost, length_s : int, int, float
         Number of samples so far, of scans lost, and time since the beginning in s.
     """
@@ -78,9 +74,9 @@ class FollowedTurn(ABC):
         self.blocks: list[Block] = []
         self.moves: list[Move] = []
         self.began = began
-        self.samples = self.lost = self.turns_made = 0
-        self.length_s = self.written_s = self.rest_s = 0.0
-        self.turned_deg = self.rate_dps = self.travelled_deg = 0.0
+        self.sweeps = Sweeps()
+        self.samples = self.lost = 0
+        self.length_s = self.written_s = self.rate_dps = 0.0
         self._first_s: float | None = None
 
     @abstractmethod
@@ -122,21 +118,17 @@ class FollowedTurn(ABC):
             self.limit_s,
             self.samples,
             self.lost,
-            self.turned_deg,
+            self.sweeps.angle_deg,
             self.rate_dps,
-            min(self.turns_made + 1, self.turns),
+            min(self.sweeps.full + 1, self.turns),
             self.turns,
         )
 
     def done(self) -> TurnDone:
         """Return the event for the end of the turn."""
+        seen = self.sweeps
         return TurnDone(
-            self.turned_deg,
-            self.length_s,
-            self.samples,
-            self.lost,
-            self.turns_made,
-            self.travelled_deg,
+            seen.angle_deg, self.length_s, self.samples, self.lost, seen.full, seen.travelled_deg
         )
 
 
@@ -264,11 +256,6 @@ class FreeTurn(FollowedTurn):
         Longest time of the recording, in s.
     began : (str, float)
         Beginning of the recording: UTC, and time on the bus's clock in s.
-
-    Attributes
-    ----------
-    sweeps : Sweeps
-        Turn so far by the angle of gravity: present angle, full turns and travel.
     """
 
     rest_before_s = REST_S
@@ -276,7 +263,6 @@ class FreeTurn(FollowedTurn):
 
     def __init__(self, place: int, turns: int, limit_s: float, began: tuple[str, float]) -> None:
         super().__init__(place, PLACE, turns, limit_s, began)
-        self.sweeps = Sweeps()
         self._before: float | None = None
         self._course: list[tuple[float, float]] = []
 
@@ -288,10 +274,9 @@ class FreeTurn(FollowedTurn):
         if self._before is not None:
             self.sweeps.see(self.sweeps.angle_deg + wrap_degrees(angle - self._before))
         self._before = angle
-        self.turned_deg, self.travelled_deg = self.sweeps.angle_deg, self.sweeps.travelled_deg
-        self.turns_made = self.sweeps.full
         now = float(block.time_s[-1])
-        self._course = [(t, a) for t, a in self._course if t > now - REST_S] + [(now, self.turned_deg)]
+        self._course = [(t, a) for t, a in self._course if t > now - REST_S]
+        self._course.append((now, self.sweeps.angle_deg))
         (t0, a0), (t1, a1) = self._course[0], self._course[-1]
         self.rate_dps = (a1 - a0) / (t1 - t0) if t1 > t0 else 0.0
 
@@ -305,7 +290,7 @@ class FreeTurn(FollowedTurn):
     @property
     def full(self) -> bool:
         """True if all requested full turns were made."""
-        return self.turns_made >= self.turns
+        return self.sweeps.full >= self.turns
 
     @property
     def resting(self) -> bool:
@@ -352,16 +337,12 @@ class FreeTurnRecorder(Recorder):
         ledger.recorded_s = turn.length_s  # the recording ends with the turns
         yield turn.done()
         if not turn.full:
-            yield ledger.problem(Problem("stillness", _too_few(turn), place))
+            few = f"it went {turn.sweeps.span_deg:.0f}°, no full turn: undo it and turn all around"
+            if turn.sweeps.full:
+                few = (
+                    f"{turn.sweeps.full} of {counted(turn.turns, 'turn')} seen: used with the uncertainty"
+                    " that gives; undo it and turn again, or ask for --turns 1"
+                )
+            yield ledger.problem(Problem("stillness", few, place))
         if turn.lost:
             yield ledger.problem(Problem("lost", f"{turn.lost} scans lost during the turn", place))
-
-
-def _too_few(turn: FreeTurn) -> str:
-    """Return the message for a recording that has fewer full turns than requested."""
-    if not turn.sweeps.full:
-        return f"it went {turn.sweeps.span_deg:.0f}°, no full turn: undo it and turn all around"
-    return (
-        f"{turn.sweeps.full} of {counted(turn.turns, 'turn')} seen: used with the uncertainty that gives;"
-        " undo it and turn again, or ask for --turns 1"
-    )
