@@ -81,8 +81,8 @@ def test_fewer_turns_than_asked_for_are_used_and_said_in_a_line(tmp_path):
         running = SessionRunner.begin(
             sensor, path, free_turn_plan(2, 45.0), Settings(dwell_s=45.0), auto=True
         )
-        stage = running._bench.stage
-        running._bench.stage = OneTurn(stage)
+        stage = running.bench.stage
+        running.bench.stage = OneTurn(stage)
         events = list(running.run())
     done = next(event for event in events if isinstance(event, TurnDone))
     assert done.turns == 1

@@ -63,6 +63,11 @@ class SessionRunner(Operator):
     """Runs a session; create it by `begin` or `resume`.
 
     Answers may be given from another thread than the thread that iterates over `run()`.
+
+    Attributes
+    ----------
+    bench : SessionBench
+        Sensor and stage of the session.
     """
 
     def __init__(
@@ -76,7 +81,7 @@ class SessionRunner(Operator):
         advisor: Advisor | None = None,
     ) -> None:
         super().__init__()
-        self._bench = bench
+        self.bench = bench
         self._archive = archive
         archive.utc = bench.utc
         self._resumed = resumed
@@ -225,22 +230,12 @@ class SessionRunner(Operator):
     def fastest_dps(self) -> float:
         """Largest mean rate of a turn in °/s that suits the gyros' range; known after configuration."""
         # A hand is faster between two grips than in the mean.
-        return 0.6 * float(self._bench.configuration.as_dict().get("gyro_range_dps") or 300.0)
+        return 0.6 * float(self.bench.configuration.as_dict().get("gyro_range_dps") or 300.0)
 
     @property
     def judges_places(self) -> bool:
         """True if each position is checked by gravity."""
         return self._recorder_type.judges_places
-
-    @property
-    def virtual_time(self) -> bool:
-        """True if the sensor's clock stops while no event is taken."""
-        return self._bench.virtual_time
-
-    @property
-    def replayed(self) -> bool:
-        """True if a recording answers instead of the sensor and the operator."""
-        return self._bench.replayed
 
     def run(self, *, so_far: bool = True) -> Iterator[Event]:
         """Run the session to its end; can be used once.
@@ -273,14 +268,14 @@ class SessionRunner(Operator):
             finished = self._finish()
         except BaseException:
             with contextlib.suppress(AdisGonioError):  # the first error counts; the bus may be gone
-                self._bench.close()
+                self.bench.close()
             raise
         finally:
             self._archive.close()
         yield finished
 
     def _prepare(self) -> Iterator[Event]:
-        bench, archive, ledger = self._bench, self._archive, self._ledger
+        bench, archive, ledger = self.bench, self._archive, self._ledger
         began_s = bench.now_s
         yield Started(
             str(archive.path),
@@ -370,7 +365,7 @@ class SessionRunner(Operator):
 
     def _time_left_s(self) -> float:
         """Return an estimate of the time in s for the remaining positions, by the time spent so far."""
-        bench, ledger = self._bench, self._ledger
+        bench, ledger = self.bench, self._ledger
         left = len(ledger.plan) - len(ledger.done) - len(ledger.skipped)
         if self._first_asked_s is None:
             self._first_asked_s = bench.now_s
@@ -382,7 +377,7 @@ class SessionRunner(Operator):
     def _offer_extension(self) -> Generator[Event, None, Reply]:
         ledger = self._ledger
         longer = extension(ledger.plan, len(ledger.done))
-        typical_mg = self._bench.source.part.initial_bias_mg
+        typical_mg = self.bench.source.part.initial_bias_mg
         gravity_mg = 1000.0 * ledger.header.gravity_mps2 / STANDARD_GRAVITY_MPS2
         blind = blindness(ledger.plan, typical_mg, gravity_mg)
         if longer is None or blind is None:
@@ -438,12 +433,12 @@ class SessionRunner(Operator):
         refused = {replace(ledger.plan.positions[place], wait_s=0.0) for place in ledger.skipped}
         if replace(position, wait_s=0.0) in refused:
             return False
-        return not self._questions.auto or self._bench.can_reach(position)
+        return not self._questions.auto or self.bench.can_reach(position)
 
     # -- end --------------------------------------------------------------------------------------------
 
     def _finish(self) -> Finished:
-        bench, ledger = self._bench, self._ledger
+        bench, ledger = self.bench, self._ledger
         complete = ledger.next_place is None
         for _ in self._questions.remarks(None):
             pass

@@ -441,15 +441,13 @@ class Mcp2210Bus(host.UsbBus):
         `report` is the HID report of the command; None is a report without further bytes. After an error,
         the next use of the bus first brings the device back to a known state.
         """
+        report = request(command) if report is None else report
         try:
-            return self._converse(command, report if report is not None else request(command))
+            answer = self._await(report, lambda answer: len(answer) != REPORT or answer[0] == command)
+            status_of(answer, command)
         except BaseException:
             self._unsure = True
             raise
-
-    def _converse(self, command: Command, report: bytes) -> bytes:
-        answer = self._await(report, lambda answer: len(answer) != REPORT or answer[0] == command)
-        status_of(answer, command)
         return answer
 
     def _await(self, report: bytes, is_mine: Callable[[bytes], bool]) -> bytes:
@@ -494,7 +492,7 @@ class Mcp2210Bus(host.UsbBus):
         self._cancel()
 
     def _cancel(self) -> None:
-        self._converse(Command.CANCEL, request(Command.CANCEL))
+        self._ask(Command.CANCEL)
         # The answer may belong to an earlier cancel. Answers keep their order: after the answer to the mark
         # no earlier answer can follow.
         self._marked = (self._marked + 1) & 0xFF

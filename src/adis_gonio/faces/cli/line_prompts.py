@@ -213,14 +213,14 @@ class PlainBench:
         of a recording it only prints the text, because the recording has the answers. If `takes_notes` is
         True, the operator may also type notes.
         """
-        if self._runner.replayed:
+        if self._runner.bench.replayed:
             self._say(text)
             return
         self._progress.update(self._task, visible=False)
         self._progress.stop()
         self._question = _Question(text, keys, takes_notes)
         self._prompt(text)
-        while self._question is not None and (wait or self._runner.virtual_time):
+        while self._question is not None and (wait or self._runner.bench.virtual_time):
             self._listen(wait=True)
 
     def _prompt(self, text: str) -> None:
