@@ -11,11 +11,11 @@ from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.handover import paper_study as through_chip
 from adis_gonio.handover.paper_study import (
     TABLE,
+    Study,
     crossing_deg,
     measured,
     propagated_errors,
     quantities,
-    spread_of,
     true_values,
     url_of,
     verdicts,
@@ -123,7 +123,7 @@ def handmade(paper_deg, ours_deg):
 
 def test_the_spread_is_of_the_sessions_that_a_method_answered():
     results = [handmade(0.6, 0.01), handmade(-0.8, 0.01), handmade(None, 0.5)]
-    spread = spread_of(results, "paper", "non_orthogonality", "x")
+    spread = Study(1, 3, {"x": results}).spread("x", "paper", "non_orthogonality")
     assert spread.sessions == 2
     assert spread.error == pytest.approx(math.sqrt(0.5))
 
@@ -144,4 +144,4 @@ def test_a_method_that_refuses_a_session_has_no_result(monkeypatch):
     monkeypatch.setattr(through_chip, "measured", lambda url, name: None)
     results = through_chip.results_of(url_of(1, "x"))
     assert not results
-    assert spread_of([results], "paper", "delta_k", "x").sessions == 0
+    assert Study(1, 1, {"x": [results]}).spread("x", "paper", "delta_k").sessions == 0

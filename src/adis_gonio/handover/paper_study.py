@@ -251,25 +251,6 @@ class MethodSpread:
     sessions: int = 0
 
 
-def spread_of(results: Sequence[Results], method: str, quantity: str, column: Axis) -> MethodSpread:
-    """Return the statistics of a quantity by one method, over the sessions of a column of the table.
-
-    All fields but `sessions` are None if the method does not determine the quantity.
-    """
-    rows = [one[method][quantity] for one in results if method in one]
-    values = np.array([value for value, _ in rows if value is not None])
-    stated = np.array([u for value, u in rows if value is not None and u is not None])
-    if not values.size:
-        return MethodSpread()
-    return MethodSpread(
-        float(values.mean()),
-        float(values.std(ddof=1)) if len(values) > 1 else None,
-        rms(stated) if stated.size else None,
-        rms(values - true_values(column)[quantity]),
-        len(values),
-    )
-
-
 def rms(values: Floats) -> float:
     """Return the root mean square of the finite values; NaN if no value is finite."""
     finite_values = values[np.isfinite(values)]
@@ -342,8 +323,22 @@ class Study:
         return f"adis-gonio paper --seed {self.seed} --sessions {self.sessions}"
 
     def spread(self, axis: Axis, method: str, quantity: str) -> MethodSpread:
-        """Return the statistics of a quantity by a method, over the sensors of the column `axis`."""
-        return spread_of(self.results[axis], method, quantity, axis)
+        """Return the statistics of a quantity by a method, over the sensors of the column `axis`.
+
+        All fields but `sessions` are None if the method does not determine the quantity.
+        """
+        rows = [one[method][quantity] for one in self.results[axis] if method in one]
+        values = np.array([value for value, _ in rows if value is not None])
+        stated = np.array([u for value, u in rows if value is not None and u is not None])
+        if not values.size:
+            return MethodSpread()
+        return MethodSpread(
+            float(values.mean()),
+            float(values.std(ddof=1)) if len(values) > 1 else None,
+            rms(stated) if stated.size else None,
+            rms(values - true_values(axis)[quantity]),
+            len(values),
+        )
 
     def ours(self, axis: Axis, quantity: str) -> dict[str, MethodSpread]:
         """Return the statistics of a quantity by each method, over the sensors of the column `axis`."""

@@ -44,32 +44,6 @@ class OffsetWord(JsonRecord):
     lsb: float
     unit: str
 
-    @classmethod
-    def of(
-        cls, name: str, bias: Coefficient, offsets: Sequence[int] | None, k: int, lsb: float, unit: str
-    ) -> OffsetWord:
-        """Return the number for one offset register that removes a bias.
-
-        `name` is the register, of axis number `k`. `bias` is the bias or zero rate of this axis in `unit`,
-        and `lsb` is the step of the register in `unit`. `offsets` are the numbers in the registers of all
-        axes during the session, None if unknown.
-
-        Raises
-        ------
-        FitError
-            The number is beyond the register's range.
-        """
-        before = None if offsets is None else offsets[k]
-        number = round(-bias.value / lsb) + (before or 0)
-        low, high = register(name).range
-        if not low <= number <= high:
-            raise FitError(
-                f"{name} holds {low} to {high} ({low * lsb:.1f} to {high * lsb:.1f} {unit}), and "
-                f"{bias.name} of {bias.value:.4g} {unit} would need {number}: is the part broken, or did "
-                "it move?"
-            )
-        return cls(name, number, before, bias.value, bias.u, lsb, unit)
-
     @property
     def value(self) -> float:
         """Offset that the register adds to the output with this number, in mg or, for a gyro, °/s."""
@@ -85,6 +59,34 @@ class OffsetWord(JsonRecord):
         return f"{self.number} = {signed(self.value, digits=4)} {self.unit}{u}"
 
 
+def _words(
+    biases: Sequence[Coefficient], kind: str, offsets: Sequence[int] | None, lsb: float, unit: str
+) -> tuple[OffsetWord, ...]:
+    """Return the numbers for the offset registers of the axes X, Y, … that remove `biases`, in `unit`.
+
+    `kind` is the name of the registers without the axis, and `lsb` their step in `unit`. `offsets` are the
+    numbers in the registers during the session, None if unknown.
+
+    Raises
+    ------
+    FitError
+        A number is beyond the register's range.
+    """
+    words = []
+    for k, bias in enumerate(biases):
+        name, before = f"{AXES[k].upper()}{kind}", None if offsets is None else offsets[k]
+        number = round(-bias.value / lsb) + (before or 0)
+        low, high = register(name).range
+        if not low <= number <= high:
+            raise FitError(
+                f"{name} holds {low} to {high} ({low * lsb:.1f} to {high * lsb:.1f} {unit}), and "
+                f"{bias.name} of {bias.value:.4g} {unit} would need {number}: is the part broken, or did "
+                "it move?"
+            )
+        words.append(OffsetWord(name, number, before, bias.value, bias.u, lsb, unit))
+    return tuple(words)
+
+
 def offset_words(calibration: Calibration) -> tuple[OffsetWord, ...]:
     """Return the numbers for the offset registers that remove the biases of the accelerometers.
 
@@ -98,17 +100,16 @@ def offset_words(calibration: Calibration) -> tuple[OffsetWord, ...]:
         raise FitError(
             f"offset registers belong to an ADIS16350, 54 or 55; this session is of a {where.sensor} sensor"
         )
+    names = [f"bias_{axis}" for axis in AXES[: calibration.axes]]
+    missing = [name for name in names if name not in calibration]
+    if missing:
+        raise FitError(
+            f"the session does not determine {missing[0]}: measure the opposite positions too "
+            "(180° and 270°)"
+        )
     lsb_mg = VARIANTS[where.sensor].accel_mg_per_lsb
-    words = []
-    for k, axis in enumerate(AXES[: calibration.axes]):
-        if f"bias_{axis}" not in calibration:
-            raise FitError(
-                f"the session does not determine bias_{axis}: measure the opposite positions too "
-                "(180° and 270°)"
-            )
-        bias = calibration[f"bias_{axis}"]
-        words.append(OffsetWord.of(f"{axis.upper()}ACCL_OFF", bias, where.offsets_lsb, k, lsb_mg, "mg"))
-    return tuple(words)
+    biases = [calibration[name] for name in names]
+    return _words(biases, "ACCL_OFF", where.offsets_lsb, lsb_mg, "mg")
 
 
 def gyro_offset_words(gyro: GyroCalibration) -> tuple[OffsetWord, ...]:
@@ -116,17 +117,8 @@ def gyro_offset_words(gyro: GyroCalibration) -> tuple[OffsetWord, ...]:
 
     It raises `FitError` if a number is beyond the range of its register.
     """
-    return tuple(
-        OffsetWord.of(
-            f"{axis.upper()}GYRO_OFF",
-            gyro[f"gyro_bias_{axis}"],
-            gyro.offsets_lsb,
-            k,
-            GYRO_OFFSET_DPS,
-            "°/s",
-        )
-        for k, axis in enumerate(AXES)
-    )
+    rates = [gyro[f"gyro_bias_{axis}"] for axis in AXES]
+    return _words(rates, "GYRO_OFF", gyro.offsets_lsb, GYRO_OFFSET_DPS, "°/s")
 
 
 def offset_words_in(path: str | Path) -> tuple[OffsetWord, ...]:

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     "--flicker", "flicker_mg", type=float, metavar="MG",
     help="Minimum of the Allan deviation in mg (default: the variant's figure).",
 )  # fmt: skip
-@click.option("--positions", type=int, metavar="N", help="Number of positions.")
+@option.positions
 @option.tolerance("Find the fewest positions that can decide if the angle error is within this tolerance.")
 @click.option(
     "--minutes", type=float, metavar="MINUTES", help="Take as many positions as fit into this time."
@@ -58,9 +58,7 @@ if TYPE_CHECKING:
     help="Criterion of the search (default: tell-apart with --beware, else angle).",
 )  # fmt: skip
 @click.option("--plan", "plan_name", metavar="NAME|FILE", help="Evaluate this plan instead of a search.")
-@option.with_default(
-    "--check", type=int, default=0, help="With --plan: positions that the fit does not use."
-)
+@option.check
 @option.with_default(
     "--grid", "grid_deg", type=float, default=5.0, metavar="DEGREES", help="Step of the searched angles."
 )
