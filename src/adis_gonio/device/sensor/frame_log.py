@@ -61,23 +61,20 @@ class FrameRow(JsonRecord):
 
 
 class FrameLog:
-    """Converts the calls of a recording or capture to rows, one for each frame.
+    """Converts the calls of a recording or capture to rows, one for each frame or block of a stream.
 
     Parameters
     ----------
     part : Variant
         Variant that decodes the words.
-    scans : bool
-        True makes a row for each word of a stream, False for each block of a stream.
     """
 
-    def __init__(self, part: registers.Variant, *, scans: bool = False) -> None:
-        self._part, self._scans = part, scans
+    def __init__(self, part: registers.Variant) -> None:
+        self._part = part
         self._gyro_range = 300
         self._timing: SpiTiming | None = None
         self._smpl_prd: int | None = None
         self._busy_until_s, self._busy_with = float("-inf"), ""
-        self._listed: list[registers.Register | None] = []
         self._before: tuple[int, float, int, str] | None = None
         self._ended: tuple[float, float] | None = None
 
@@ -89,12 +86,12 @@ class FrameLog:
             elif call.name == "frame":
                 yield from self._captured(call)
             elif call.name == "block" and isinstance(call.result, FrameBlock):
-                yield from self._streamed(call, call.result)
+                (n, k), lost = call.result.words.shape, call.result.lost
+                ended = f", {lost} lost before their end" if lost else ""
+                yield FrameRow(call.number, call.end_s, "block", value=f"{n} scans of {k} words{ended}")
             elif call.name != "clock":
                 if call.name == "configure" and call.result:
                     self._timing = SpiTiming(**call.result)
-                elif call.name == "stream" and call.frames is not None:
-                    self._listed = [registers.addressed(int(frame))[0] for frame in call.frames]
                 elif call.name == "hard_reset":
                     self._busy_until_s, self._busy_with = call.begin_s + BUSY_S["reset"], "a hard reset"
                 yield FrameRow(
@@ -143,17 +140,6 @@ class FrameLog:
         else:
             value = "" if word is None else self._decoded(row, word)
         return FrameRow(number, time_s, action, name, frame, word, value, problem)
-
-    def _streamed(self, call: Call, block: FrameBlock) -> Iterator[FrameRow]:
-        n, k = block.words.shape
-        lost = f", {block.lost} lost before their end" if block.lost else ""
-        if not self._scans:
-            yield FrameRow(call.number, call.end_s, "block", value=f"{n} scans of {k} words{lost}")
-            return
-        for words, time_s in zip(block.words.tolist(), block.time_s.tolist(), strict=True):
-            for row, word in zip(self._listed, words, strict=False):
-                name = "" if row is None else row.name
-                yield FrameRow(call.number, time_s, "scan", name, None, word, self._decoded(row, word))
 
     def _decoded(self, row: registers.Register | None, word: int) -> str:
         if row is None:

@@ -134,20 +134,19 @@ def serve_command(
 
 @option.command("frames")
 @click.argument("recording", type=option.FILE, metavar="RECORDING")
-@option.flag("--scans", help="List every word of a stream, not one row for each block.")
 @option.variant
 @option.json
-def frames_command(*, recording: Path, scans: bool, variant: str, as_json: bool) -> int:
+def frames_command(*, recording: Path, variant: str, as_json: bool) -> int:
     """List the frames of a RECORDING with register names and decoded words.
 
     RECORDING is a file of record: or the VCD file of a logic analyser on CS, SCLK, MOSI and MISO, such as
     capture.vcd.
 
     Put record:FILE: before the URL of any command to record it: record:run.rec:serial:/dev/ttyACM0. A URL
-    replay:FILE plays it back to any command. A row has the number of the record, the time on the clock of
-    the bus, the register, the frame, the word that answers it, and its value. A row with ! has an error, or
-    a frame that breaks a rule of timing of the data sheet; grep finds it. The exit status is 1 if there is
-    such a row, or if the recording is damaged.
+    replay:FILE plays it back to any command; `stream` then shows the values of a block. A row has the
+    number of the record, the time on the clock of the bus, the register, the frame, the word that answers
+    it, and its value. A row with ! has an error, or a frame that breaks a rule of timing of the data sheet;
+    grep finds it. The exit status is 1 if there is such a row, or if the recording is damaged.
     """
     from adis_gonio.device.bus.capture import LogicCapture
     from adis_gonio.device.bus.recording import BusRecording
@@ -157,7 +156,7 @@ def frames_command(*, recording: Path, scans: bool, variant: str, as_json: bool)
     capture = recording.suffix.lower() == ".vcd"
     source = LogicCapture(recording) if capture else BusRecording(recording)
     problems, listed = 0, []
-    for row in FrameLog(variant_of(variant), scans=scans).rows(source):
+    for row in FrameLog(variant_of(variant)).rows(source):
         problems += bool(row.problem)
         if as_json:
             listed.append(row.as_dict())
