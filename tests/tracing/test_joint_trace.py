@@ -10,7 +10,7 @@ import pytest
 
 from adis_gonio import load_session
 from adis_gonio.base.arrays import central_differences
-from adis_gonio.base.errors import UsageError
+from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.model.effects import effect
@@ -238,6 +238,11 @@ def test_the_command_traces_several_files_as_one_model(tmp_path, capsys) -> None
     assert "Belongs to" in shown
     assert "Evidence of each session" in shown
     assert main(["trace", *paths, "--sensor-part", "gyro"]) == 2
+    whole = load_session(paths[1])
+    checked = tuple(replace(dwell, use="check") for dwell in whole.dwells[1:])
+    for dwells in (whole.dwells[:1], (whole.dwells[0], *checked)):
+        with pytest.raises(FitError, match=r"two\.session: a joint trace needs two positions"):
+            trace_sessions([load_session(paths[0]), replace(whole, dwells=dwells)])
     copy = tmp_path / "copy.session"
     copy.write_bytes((tmp_path / "one.session").read_bytes())
     capsys.readouterr()

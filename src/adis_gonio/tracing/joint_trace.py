@@ -160,6 +160,8 @@ def reduced(session: Session) -> Readings:
         data = correct_slips(readings_of(session), positions_of(session))
     except FitError as error:
         raise FitError(failure_message(session, error)) from error
+    if (~data.check).sum() < 2:  # one half of its dwells has to predict the other half
+        raise FitError(f"{session.source or 'session'}: a joint trace needs two positions to fit or more")
     samples = samples_of(session, data)
     line_hz = None if samples is None else strongest_frequency(samples, data.position)
     return replace(data, conditions=replace(data.conditions, line_hz=line_hz))
