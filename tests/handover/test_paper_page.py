@@ -43,6 +43,7 @@ def test_figure_3_has_three_graphs_with_both_methods_of_both_axes(shown):
     figures = next(s for s in shown if s.title.startswith("Figure 3")).figures
     assert len(figures) == 3
     for figure in figures:
+        assert figure.svg.count("<use") == 10  # four printed, four of ours, two in the legend
         for word in ("X, paper", "X, MMPM", "Y, paper", "Y, MMPM", "printed", "our sessions"):
             assert word in figure.svg
 

@@ -61,6 +61,9 @@ def test_each_axis_has_its_plot_with_title_and_description():
             rf"{axis}: from 0\.\d+ °/s at 0\.0100 s to .*, least 0\.\d+ °/s at \S+ s\.", described
         )
         assert root.get("role") == "img"
+        ticks = [t for t in root.iter() if t.tag.endswith("}text") and t.text in {"0.1", "1", "10"}]
+        places = {t.text: float(t.get("x")) for t in ticks if t.get("style") == "text-anchor:middle"}
+        assert places["10"] - places["1"] == pytest.approx(places["1"] - places["0.1"], abs=0.2)
         names = {root.find(f"{{*}}{tag}").get("id") for tag in ("title", "desc")}
         assert set(root.get("aria-labelledby").split()) == names
 
