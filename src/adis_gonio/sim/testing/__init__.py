@@ -13,8 +13,7 @@ from adis_gonio.base import lazily
 
 _HOMES = {
     "bus_contract": "BusContract Rig WatchedChip WireFrame",
-    "doubles": "SimulatedBoard SimulatedSensor open_board open_simulated",
-    "expected_frames": "ExpectedFrames",
+    "doubles": "ExpectedFrames SimulatedBoard SimulatedSensor open_board open_simulated",
     "faults": "Faults FaultyBus",
 }
 
@@ -27,12 +26,12 @@ if TYPE_CHECKING:
         WireFrame as WireFrame,
     )
     from adis_gonio.sim.testing.doubles import (
+        ExpectedFrames as ExpectedFrames,
         SimulatedBoard as SimulatedBoard,
         SimulatedSensor as SimulatedSensor,
         open_board as open_board,
         open_simulated as open_simulated,
     )
-    from adis_gonio.sim.testing.expected_frames import ExpectedFrames as ExpectedFrames
     from adis_gonio.sim.testing.faults import (
         Faults as Faults,
         FaultyBus as FaultyBus,

@@ -304,13 +304,8 @@ class BusContract(ABC):
             lambda: bus.exchange_array(np.zeros(2, np.uint16)),
             lambda: bus.configure(TIMINGS[0]),
         ]
-        if Capability.STREAM in bus.capabilities:
-            uses.append(lambda: bus.stream([0]))
-        if Capability.HARD_RESET in bus.capabilities:
-            uses.append(bus.hard_reset)
-        if Capability.EVENT_COUNTER in bus.capabilities:
-            uses.append(bus.read_event_counter)
-        for use in uses:
+        optional = optional_calls(bus)
+        for use in [*uses, *(optional[capability] for capability in bus.capabilities)]:
             with pytest.raises(BusClosedError):
                 use()
         assert len(rig.chip.seen) == sent
@@ -326,14 +321,9 @@ class BusContract(ABC):
     # -- optional capabilities --------------------------------------------------------------------------
 
     def test_a_capability_that_is_not_there_is_refused_by_name(self, rig: Rig) -> None:
-        calls = {
-            Capability.STREAM: lambda: rig.bus.stream([0]),
-            Capability.HARD_RESET: rig.bus.hard_reset,
-            Capability.EVENT_COUNTER: rig.bus.read_event_counter,
-        }
         for capability in set(Capability) - rig.bus.capabilities:
             with pytest.raises(CapabilityError, match=capability.value):
-                calls[capability]()
+                optional_calls(rig.bus)[capability]()
 
     def test_a_stream_gives_each_register_its_own_word_at_each_data_ready_edge(self, rig: Rig) -> None:
         if Capability.STREAM not in rig.bus.capabilities:
@@ -408,6 +398,15 @@ class BusContract(ABC):
         assert first == pytest.approx(0.5 * 819.2, rel=0.05)
         rig.bus.sleep_s(0.1)
         assert rig.bus.read_event_counter() == pytest.approx(0.1 * 819.2, rel=0.05)
+
+
+def optional_calls(bus: SpiBus) -> dict[Capability, Callable[[], object]]:
+    """Return a call of each optional function of a bus, by the capability that it needs."""
+    return {
+        Capability.STREAM: lambda: bus.stream([0]),
+        Capability.HARD_RESET: bus.hard_reset,
+        Capability.EVENT_COUNTER: bus.read_event_counter,
+    }
 
 
 def random_batches(rng: np.random.Generator, count: int) -> list[list[int]]:

@@ -1,4 +1,4 @@
-"""Simulated sensors and boards for tests of host code.
+"""Simulated sensors and boards for tests of host code, and a bus that expects given frames.
 
 A sensor is the driver over a simulated chip, with access to its stage and world. A board has the project's
 firmware and a chip behind a serial port that any program can open: it speaks the wire protocol of
@@ -15,14 +15,20 @@ from __future__ import annotations
 import contextlib
 import os
 import select
+import sys
 import threading
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
+from pathlib import Path
 from typing import cast
+
+import numpy as np
 
 from adis_gonio.base import Closing
 from adis_gonio.base.errors import CannotOpenError, UsageError
+from adis_gonio.device.bus.contract import SpiBus, SpiTiming, Words
+from adis_gonio.device.bus.host import SAFE_TIMING
 from adis_gonio.device.bus.opening import BusUrl
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.sim.bus import SimBus, SimStage, open_from_url as _open_bus
@@ -311,3 +317,74 @@ class _Pty:
             with contextlib.suppress(OSError):
                 os.close(end)
         self._slave = self._master = -1
+
+
+class ExpectedFrames(SpiBus):
+    """A bus that accepts only the expected frames, in their order, and gives their replies.
+
+    Another frame, a missing frame at `close` and a frame after the last one raise `AssertionError`; the
+    message names the line of the test that expected the frame. Time is virtual.
+
+    Parameters
+    ----------
+    script : iterable of (frame, reply)
+        Expected frames with their replies; messages name the line of this call. `expect` adds more frames.
+
+    Examples
+    --------
+    >>> bus = ExpectedFrames()
+    >>> bus.expect(0x3600, 0x0000)  # read SMPL_PRD; the reply belongs to the frame before
+    >>> bus.expect(0x0000, 0x0001)
+    >>> bus.exchange([0x3600, 0x0000])
+    [0, 1]
+    """
+
+    def __init__(self, script: Iterable[tuple[int, int]] = ()) -> None:
+        super().__init__(SAFE_TIMING)
+        self.url = "expected:"
+        place = _place_of_caller()
+        self._script = [(frame, reply, place) for frame, reply in script]
+        self._at = 0
+        self._time_s = 0.0
+
+    def expect(self, frame: int, reply: int) -> None:
+        """Expect one more frame; the chip shifts `reply` out while it shifts the frame in."""
+        self._script.append((frame, reply, _place_of_caller()))
+
+    def now_s(self) -> float:
+        """Return the virtual time in s."""
+        return self._time_s
+
+    def sleep_s(self, seconds: float) -> None:
+        """Advance the virtual time by some seconds."""
+        self._time_s += seconds
+
+    def _exchange(self, frames: Words) -> Words:
+        replies = []
+        for frame in frames.tolist():
+            if self._at == len(self._script):
+                raise AssertionError(f"frame 0x{frame:04X} comes after all {self._at} expected frames")
+            expected, reply, place = self._script[self._at]
+            if frame != expected:
+                raise AssertionError(
+                    f"{place}: frame {self._at} is 0x{frame:04X}, expected 0x{expected:04X}"
+                )
+            replies.append(reply)
+            self._at += 1
+            self._time_s += self.timing.frame_s
+        return np.array(replies, np.uint16)
+
+    def _configure(self, timing: SpiTiming) -> SpiTiming:
+        return timing
+
+    def _close(self) -> None:
+        missing = self._script[self._at :]
+        if missing:
+            first, _, place = missing[0]
+            raise AssertionError(f"{place}: frames never sent: {len(missing)}, first 0x{first:04X}")
+
+
+def _place_of_caller() -> str:
+    """Return file name and line of the test code that called a method of the bus."""
+    frame = sys._getframe(2)
+    return f"{Path(frame.f_code.co_filename).name}:{frame.f_lineno}"
