@@ -81,7 +81,7 @@ def catalogue(part: str | None = None) -> dict[str, type[Effect]]:
         found[point.name] = kind
     if part is None:
         return found
-    if part in gyro_terms.GYRO:
+    if part in gyro_terms.OfGyro.parts:
         found["outlier_dwell"] = gyro_terms.GyroOutlierDwell
     return {name: kind for name, kind in found.items() if part in kind.parts}
 

@@ -24,13 +24,18 @@ from adis_gonio.model.effects.base import (
 from adis_gonio.model.effects.sensor_terms import REFERENCE_C, BiasTemperature, SupplyBias, WarmUp
 from adis_gonio.model.effects.stage_terms import OutlierDwell
 
-GYRO = ("gyro",)
 _OTHER_ORDER = "repeat the first poses last, or all in another order: a drift goes on, a force comes back"
 WHOLE_TURNS = "turn the part by whole turns about each axis, to both sides (plan gyro-turns)"
 
 
+class OfGyro:
+    """Mixin of the effects that act on the readings of the gyros."""
+
+    parts: ClassVar[tuple[str, ...]] = ("gyro",)
+
+
 @dataclass(frozen=True)
-class GyroBiasTemperature(BiasTemperature):
+class GyroBiasTemperature(OfGyro, BiasTemperature):
     """The zero rate follows the temperature: a polynomial of degree 1 to 3 in T − 25 °C.
 
     T is the temperature of the gyro's own die if all three dies were recorded, else the mean temperature.
@@ -48,7 +53,6 @@ class GyroBiasTemperature(BiasTemperature):
 
     cause = "The zero rate of a gyro moves with the temperature of its die."
     remedy = CYCLE
-    parts = GYRO
     coefficients = (
         Parameter("gyro_bias_temperature", "dps/°C", -1.0, 1.0, 0.02),
         Parameter("gyro_bias_temperature2", "dps/°C²", -0.05, 0.05, 0.0005),
@@ -57,7 +61,7 @@ class GyroBiasTemperature(BiasTemperature):
 
 
 @dataclass(frozen=True)
-class GSensitivity(LinearAxisEffect):
+class GSensitivity(OfGyro, LinearAxisEffect):
     """Force along each of the three axes shifts the zero rate: nine coefficients of three gyros.
 
     Formula: ω_i += g_sensitivity_ix · f_x + g_sensitivity_iy · f_y + g_sensitivity_iz · f_z
@@ -79,7 +83,6 @@ class GSensitivity(LinearAxisEffect):
     remedy = _OTHER_ORDER
     prior = "force"
     needs = ("force_g",)
-    parts = GYRO
     options: ClassVar[dict[str, tuple[int, ...]]] = {"force": (0, 1, 2, 3)}
     coefficients = (Parameter("g_sensitivity", "dps/g", -2.0, 2.0, 0.05),)
 
@@ -97,7 +100,7 @@ class GSensitivity(LinearAxisEffect):
 
 
 @dataclass(frozen=True)
-class G2Sensitivity(LinearAxisEffect):
+class G2Sensitivity(OfGyro, LinearAxisEffect):
     """The squared force along one axis shifts the zero rate.
 
     At rest the squares of the three components of the force add up to 1 g² and cannot all be distinguished
@@ -121,7 +124,6 @@ class G2Sensitivity(LinearAxisEffect):
     )
     remedy = "point two axes at once along gravity (±0.7 g), and repeat the first poses last"
     needs = ("force_g",)
-    parts = GYRO
     options: ClassVar[dict[str, tuple[int, ...]]] = {"force": (0, 1, 2)}
     coefficients = (Parameter("g2_sensitivity", "dps/g²", -2.0, 2.0, 0.02),)
 
@@ -134,7 +136,7 @@ class G2Sensitivity(LinearAxisEffect):
         return (conditions.covariate("force_g")[:, self.force] ** 2,)
 
 
-class GyroScale(LinearAxisEffect):
+class GyroScale(OfGyro, LinearAxisEffect):
     """The scale factor of a gyro has a relative error.
 
     A fit states `gyro_scale_i` = 1 + gyro_scale_error_i.
@@ -148,7 +150,6 @@ class GyroScale(LinearAxisEffect):
     cause = "The sensitivity of a gyro differs from its nominal one."
     remedy = WHOLE_TURNS
     needs = ("rate_dps",)
-    parts = GYRO
     coefficients = (Parameter("gyro_scale_error", "1", -0.2, 0.2, 0.01),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
@@ -156,7 +157,7 @@ class GyroScale(LinearAxisEffect):
         return (conditions.covariate("rate_dps")[:, axis],)
 
 
-class GyroScaleTemperature(LinearAxisEffect):
+class GyroScaleTemperature(OfGyro, LinearAxisEffect):
     """The gain of a gyro changes in proportion to the temperature of its die.
 
     Formula: ω_i += gyro_scale_temperature_i · 10⁻⁶ · (T_i − 25 °C) · Ω_i
@@ -169,7 +170,6 @@ class GyroScaleTemperature(LinearAxisEffect):
     remedy = "turn the part by whole turns at two temperatures, 10 °C apart"
     needs = ("rate_dps", "temperature_c")
     covariates = ("temperature",)
-    parts = GYRO
     coefficients = (Parameter("gyro_scale_temperature", "ppm/°C", -5000.0, 5000.0, 100.0),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
@@ -178,7 +178,7 @@ class GyroScaleTemperature(LinearAxisEffect):
         return (1e-6 * above * conditions.covariate("rate_dps")[:, axis],)
 
 
-class GyroMisalignment(AxisEffect):
+class GyroMisalignment(OfGyro, AxisEffect):
     """The axis of a gyro is misaligned towards other axes; its direction remains a unit vector.
 
     With s_p the sine of the misalignment towards axis p the direction is (√(1 − Σ s_p²), s_p, …):
@@ -193,7 +193,6 @@ class GyroMisalignment(AxisEffect):
     cause = "The axis of a gyro is misaligned towards another axis of the accelerometers by a small angle."
     remedy = WHOLE_TURNS
     needs = ("rate_dps",)
-    parts = GYRO
     coefficients = (Parameter("gyro_misalignment", "deg", -10.0, 10.0, 0.5),)
 
     def _pairs(self) -> list[tuple[int, int]]:
@@ -229,7 +228,7 @@ class GyroMisalignment(AxisEffect):
 
 
 @dataclass(frozen=True)
-class GyroDrift(LinearAxisEffect):
+class GyroDrift(OfGyro, LinearAxisEffect):
     """The zero rate changes evenly, with time or from dwell to dwell.
 
     Formula: ω_i += gyro_drift_i · t/60, or gyro_step_i · number of the dwell (`steps` 1)
@@ -250,7 +249,6 @@ class GyroDrift(LinearAxisEffect):
     remedy = _OTHER_ORDER
     not_corrected = "follows the clock of the session; the zero rate applies to its start"
     covariates = ("time",)
-    parts = GYRO
     options: ClassVar[dict[str, tuple[int, ...]]] = {"steps": (0, 1)}
     coefficients = (
         Parameter("gyro_drift", "dps/min", -5.0, 5.0, 0.005),
@@ -266,7 +264,7 @@ class GyroDrift(LinearAxisEffect):
         return (conditions.covariate("order") if self.steps else conditions.time_s / 60.0,)
 
 
-class GyroWarmUp(WarmUp):
+class GyroWarmUp(OfGyro, WarmUp):
     """The zero rate settles exponentially after power-on.
 
     Formula: ω_i += gyro_warm_up_i · exp(−t/τ), t from the session's start
@@ -278,11 +276,10 @@ class GyroWarmUp(WarmUp):
     cause = "The zero rate of a gyro settles while the part heats itself after power-on."
     remedy = "switch the sensor off, let it cool, and repeat a few poses after switching on"
     not_corrected = "follows the clock of the session; the zero rate applies to the warm part"
-    parts = GYRO
     coefficients = (Parameter("gyro_warm_up", "dps", -10.0, 10.0, 0.2),)
 
 
-class GyroSupply(SupplyBias):
+class GyroSupply(OfGyro, SupplyBias):
     """The zero rate changes in proportion to the supply voltage.
 
     Formula: ω_i += gyro_supply_i · (V − 5 V)
@@ -293,11 +290,10 @@ class GyroSupply(SupplyBias):
 
     cause = "The zero rate of a gyro moves with the supply voltage."
     remedy = "change the supply by hand in one pose, such as from 4.8 to 5.2 V"
-    parts = GYRO
     coefficients = (Parameter("gyro_supply", "dps/V", -10.0, 10.0, 0.25),)
 
 
-class GyroAsymmetry(LinearAxisEffect):
+class GyroAsymmetry(OfGyro, LinearAxisEffect):
     """The scale factor of a gyro is 1 + A for positive rates of turn, 1 − A for negative rates.
 
     Formula: ω_i += gyro_asymmetry_i · |Ω_i|
@@ -309,7 +305,6 @@ class GyroAsymmetry(LinearAxisEffect):
     remedy = "turn the part by as many whole turns to the one side as to the other"
     not_corrected = "differs between the two senses of turning, which no gain corrects"
     needs = ("rate_dps",)
-    parts = GYRO
     coefficients = (Parameter("gyro_asymmetry", "1", -0.1, 0.1, 0.001),)
 
     def basis(self, axis: int, ideal: Floats, conditions: Conditions) -> tuple[Floats, ...]:
@@ -319,8 +314,7 @@ class GyroAsymmetry(LinearAxisEffect):
         return (modulus[:, axis],)
 
 
-class GyroOutlierDwell(OutlierDwell):
+class GyroOutlierDwell(OfGyro, OutlierDwell):
     """The gyro readings of one dwell deviate by any amount; the catalogue's `outlier_dwell` for gyros."""
 
     coefficients = (Parameter("offset", "dps", -300.0, 300.0, 0.1),)
-    parts = GYRO
