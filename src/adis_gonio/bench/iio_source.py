@@ -364,7 +364,6 @@ PATIENCE_S = 5.0
 NO_FAULTS = "the sensor reports no errors or alarms, so a fault within a dwell is not detected"
 """Text for the user: IIO has no common interface for errors and alarms."""
 
-_OPTIONS = ("poll", "rate")
 _NETWORK = re.compile(r"ip:(?P<host>\[[^]]+\]|[^:/]+)(?::(?P<port>\d{1,5}))?(?:/(?P<device>.*))?")
 
 
@@ -608,7 +607,7 @@ def open_from_url(url: BusUrl) -> IioSource:
     CannotOpenError
         There is no such device, it cannot be opened, or it is no accelerometer with three axes.
     """
-    UrlOptions(url, _OPTIONS)  # refuses other options
+    UrlOptions(url, ("poll", "rate"))  # refuses other options
     poll_hz, rate_hz = (_hertz(url, name) for name in ("poll", "rate"))
     context, name = LOCAL, url.place
     if url.place.startswith("ip:"):

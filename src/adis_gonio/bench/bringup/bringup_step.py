@@ -25,7 +25,7 @@ from adis_gonio.base.jsonable import JsonRecord, key
 from adis_gonio.device.bus import SpiBus, SpiTiming, Words
 from adis_gonio.device.bus.recording import Call, ObservedBus
 from adis_gonio.device.sensor.driver import Adis16354, Undo
-from adis_gonio.device.sensor.registers import EA, IDLE, VARIANTS, Register, register
+from adis_gonio.device.sensor.registers import IDLE, VARIANTS, Register, register
 from adis_gonio.device.sensor.settings import ScanBlock, join
 
 _PART = VARIANTS["adis16354"]
@@ -279,10 +279,6 @@ class StepResult(JsonRecord, frozen=False):
         return self
 
 
-def _unanswered() -> dict[str, Answer]:
-    return {question.name: Answer(Outcome.NOT_MEASURED, question.otherwise) for question in QUESTIONS}
-
-
 @dataclass
 class Bringup:
     """Result of a bring-up, which the run fills: results of the steps, and answers to open questions.
@@ -314,7 +310,9 @@ class Bringup:
     bridge: dict[str, Any] = field(default_factory=dict)
     registers: dict[str, int] = field(default_factory=dict)
     rows: list[StepResult] = field(default_factory=list)
-    answers: dict[str, Answer] = field(default_factory=_unanswered)
+    answers: dict[str, Answer] = field(
+        default_factory=lambda: {q.name: Answer(Outcome.NOT_MEASURED, q.otherwise) for q in QUESTIONS}
+    )
     undo: Undo | None = None
     stopped: bool = False
 
@@ -566,15 +564,6 @@ class BringupBench:
         if self.sensor.read("SMPL_PRD") & 0xFF != 0x01:
             self.sensor.write("SMPL_PRD", 0x01)
             self.wait_updates()
-
-    # -- flags ------------------------------------------------------------------------------------------
-
-    def alarm_stands(self) -> bool:
-        """Return True if an output word that is read now has the flag EA (error or alarm) set.
-
-        STATUS is not read, so that its bits are not cleared.
-        """
-        return bool(self.sensor.read_words(["XACCL_OUT"])[0] & EA)
 
     def wait_updates(self, count: int = 4) -> None:
         """Wait until the filter has settled and `count` more samples were taken."""

@@ -23,7 +23,15 @@ from adis_gonio.bench.bringup.bringup_step import (
     variance_ratio,
 )
 from adis_gonio.bench.bringup.chip_rows import BY_QUESTION, RecordedChip
-from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, BY_NAME, GYRO_OUT, Variant, registers
+from adis_gonio.device.sensor.registers import (
+    ACCEL_OFF,
+    ACCEL_OUT,
+    BY_NAME,
+    EA,
+    GYRO_OUT,
+    Variant,
+    registers,
+)
 from adis_gonio.device.sensor.settings import (
     Alarm,
     filter_response,
@@ -384,7 +392,8 @@ class StatusBits(BringupStep):
             return found.not_measured(f"STATUS is 0x{standing:04X} already")
         bench.sensor.set_alarm(1, Alarm("SUPPLY_OUT", threshold=1.0))
         bench.wait_updates()
-        raised = bench.alarm_stands()
+        # EA of an output shows it; a read of STATUS would clear the bit.
+        raised = bool(bench.sensor.read_words(["XACCL_OUT"])[0] & EA)
         bench.sensor.clear_alarm(1)
         bench.wait_updates()
         stays = bool(bench.sensor.read("STATUS") & _ALARM)
