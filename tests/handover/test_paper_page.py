@@ -3,6 +3,7 @@
 import json
 import re
 
+import numpy as np
 import pytest
 
 from adis_gonio.faces.cli import main
@@ -42,8 +43,12 @@ def test_the_table_has_every_printed_number_beside_ours(shown):
 def test_figure_3_has_three_graphs_with_both_methods_of_both_axes(shown):
     figures = next(s for s in shown if s.title.startswith("Figure 3")).figures
     assert len(figures) == 3
-    for figure in figures:
-        assert figure.svg.count("<use") == 10  # four printed, four of ours, two in the legend
+    for key, figure in zip(dict.fromkeys(row.key for row in TABLE), figures, strict=True):
+        heights = [float(y) for y in re.findall(r'<use[^>]* y="([\d.]+)"', figure.svg)]
+        differences = [
+            printed - row.measured for row in TABLE if row.key == key for printed in (row.paper, row.mmpm)
+        ]
+        assert np.corrcoef(heights[:4], differences)[0, 1] == pytest.approx(-1, abs=1e-4)
         for word in ("X, paper", "X, MMPM", "Y, paper", "Y, MMPM", "printed", "our sessions"):
             assert word in figure.svg
 
