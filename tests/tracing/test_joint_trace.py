@@ -237,6 +237,8 @@ def test_the_command_traces_several_files_as_one_model(tmp_path, capsys) -> None
     shown = capsys.readouterr().out
     assert "Belongs to" in shown
     assert "Evidence of each session" in shown
+    assert main(["trace", *paths, "--time-limit", "0.01"]) == 0
+    assert "The time limit of 0.01 s ended the trace" in capsys.readouterr().out
     assert main(["trace", *paths, "--sensor-part", "gyro"]) == 2
     whole = load_session(paths[1])
     checked = tuple(replace(dwell, use="check") for dwell in whole.dwells[1:])

@@ -399,9 +399,9 @@ _OWNERS = {
 
 def session_shares(result: JointResult) -> list[str]:
     """Describe each session's share of the evidence, its result alone, and its held-out errors."""
-    total = {
-        cause: sum(one.evidence[cause] for one in result.sessions) for cause in result.sessions[0].evidence
-    }
+    # A trace that its time limit ended has no shares.
+    causes = [cause for one in result.sessions[:1] for cause in one.evidence]
+    total = {cause: sum(one.evidence[cause] for one in result.sessions) for cause in causes}
     lines = []
     for one in result.sessions:
         shares = [f"{cause} {format_percent(own / total[cause])}" for cause, own in one.evidence.items()]
