@@ -132,15 +132,7 @@ def _archive_cells(row: Mapping[str, Any]) -> list[str]:
 @option.output("Write a page with figures (extra: report).")
 @option.index
 @option.json
-def history_command(
-    *,
-    serial: str,
-    places: tuple[Path, ...],
-    output: Path | None,
-    index_path: Path | None,
-    trace: bool,
-    as_json: bool,
-) -> None:
+def history_command(*, serial: str, output: Path | None, as_json: bool, **indexed: Any) -> None:
     """Show ΔK, Δφ, biases and the angle error of a sensor over its sessions, with U.
 
     The command tests for drift between sessions, keeps a control chart (CUSUM, and 3σ limits from u and the
@@ -149,7 +141,7 @@ def history_command(
     from adis_gonio.fleet import sensor_history
 
     show.check_page(output)
-    with _indexed(places, index_path, trace=trace) as (store, _):
+    with _indexed(**indexed) as (store, _):
         found = sensor_history.history_of(serial, _records_of(store, serial))
     if output is not None:
         from adis_gonio.fleet.fleet_pages import history_page
@@ -185,14 +177,7 @@ def history_command(
 @option.index
 @option.json
 def due_command(
-    *,
-    serial: str,
-    places: tuple[Path, ...],
-    tolerance: Tolerance | None,
-    first_days: float,
-    index_path: Path | None,
-    trace: bool,
-    as_json: bool,
+    *, serial: str, tolerance: Tolerance | None, first_days: float, as_json: bool, **indexed: Any
 ) -> None:
     """Compute when a sensor's next calibration is due, with the rule and the reason (ILAC-G24 / OIML D 10).
 
@@ -204,7 +189,7 @@ def due_command(
     from adis_gonio.fleet.sensor_history import history_of
 
     limits = Rules(tolerance or DEFAULT_TOLERANCE, tolerance is None, first_days)
-    with _indexed(places, index_path, trace=trace) as (store, _):
+    with _indexed(**indexed) as (store, _):
         found = due_of(history_of(serial, _records_of(store, serial)), limits)
     if as_json:
         show.print_json(found.as_dict())

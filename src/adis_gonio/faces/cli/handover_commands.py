@@ -8,17 +8,13 @@ import tempfile
 from contextlib import nullcontext
 from inspect import cleandoc
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import click
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.faces.cli import options as option, show
 from adis_gonio.handover.formats import BY_NAME, FORMATS, format_of
-
-if TYPE_CHECKING:
-    from adis_gonio.base.conformity import Tolerance
-    from adis_gonio.record.loading import Overrides
 
 
 @option.command(
@@ -43,18 +39,7 @@ if TYPE_CHECKING:
 )
 @option.tolerance("Certificate: state if the angle error is within this tolerance.")
 @option.overrides
-def export_command(
-    *,
-    session: Path,
-    kind: str | None,
-    output: Path | None,
-    method: str | None,
-    traced: bool,
-    name: str | None,
-    gyros: Path | None,
-    tolerance: Tolerance | None,
-    overrides: Overrides,
-) -> None:
+def export_command(*, session: Path, kind: str | None, output: Path | None, **options: Any) -> None:
     """Export a session's coefficients or data for other programs.
 
     \b
@@ -72,10 +57,8 @@ def export_command(
             "no file and no format: give -o FILE with an ending such as .h or .json, or --format"
         )
     kind = kind or format_of(str(output))
-    named = {} if name is None else {"name": name}
-    source = ExportSource(
-        session, method, traced, **named, overrides=overrides, gyros=gyros, tolerance=tolerance
-    )
+    traced = options["traced"]
+    source = ExportSource(session, **{name: one for name, one in options.items() if one is not None})
     foreign = {name for one in FORMATS for name in one.options} - set(BY_NAME[kind].options)
     if BY_NAME[kind].holds == "samples":
         foreign |= {"method", "traced", "gyros"}
