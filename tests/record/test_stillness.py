@@ -1,4 +1,5 @@
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -112,6 +113,18 @@ def test_a_slow_turn_is_no_rest(noise, move_s):
     for (begin, end), (start, stop) in zip(found, spans, strict=True):
         assert start - 0.25 < begin < start + 1
         assert stop - 1 < end < stop + 0.25
+
+
+def test_dwells_share_no_rows_at_a_sample_a_second():
+    rng = np.random.default_rng(9)
+    found = 0
+    for _ in range(300):
+        steps = 3.0 * rng.standard_normal((200, 2)) * (rng.random((200, 1)) < 0.02)
+        accel = 1000 + np.cumsum(steps, axis=0) + rng.standard_normal((200, 2))
+        dwells = dwells_of(np.arange(200.0), accel)
+        found += len(dwells)
+        assert all(one.stop <= other.start for one, other in pairwise(dwells))
+    assert found > 300
 
 
 def test_a_gyro_shows_a_turn_that_gravity_does_not():

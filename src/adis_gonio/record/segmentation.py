@@ -8,9 +8,10 @@ Gyros detect a slow turn that the accelerations do not show. A sensor that a han
 far more than the noise of its gyros, which does no harm. The limit of a gyro's standard deviation is
 therefore ten times its median in windows in which the accelerations are still.
 
-Every run of still windows is trimmed by `TRIM_S` at both ends, which the hand may disturb, and kept if it
-lasts at least `LEAST_S`. A slow turn or a slip moves the mean more than the standard deviation: the window
-between two still windows is not still if their means differ by more than the upper limit.
+Every run of still windows is trimmed at both ends, which the hand may disturb, by `TRIM_S` or half a
+window, and kept if it lasts at least `LEAST_S`. A slow turn or a slip moves the mean more than the standard
+deviation: the window between two still windows is not still if their means differ by more than the upper
+limit.
 
 Running sums are computed a block of rows at a time, so that memory is needed for little but their results.
 """
@@ -74,7 +75,8 @@ def segment_with_notes(
         return [], [f"{counted(n, 'sample')}: too few for a continuous recording"]
     period = float(np.median(np.diff(np.unique(time_s))))
     window = max(_LEAST_WINDOW, round(WINDOW_S / period))
-    trim, least = max(1, round(TRIM_S / period)), max(2 * window, round(LEAST_S / period))
+    # Half a window: two runs with only one window between them then share no rows.
+    trim, least = max(window // 2, round(TRIM_S / period)), max(2 * window, round(LEAST_S / period))
     if n < least:
         return [], [
             f"the recording lasts {n * period:.2g} s; a dwell needs at least {least * period:.2g} s"
