@@ -10,10 +10,11 @@ from adis_gonio import fit, load_session
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting.answer import Answer
 from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import from_means
 from adis_gonio.fitting.estimation.terms import NamedTerm
-from adis_gonio.fitting.methods import fit_ml
+from adis_gonio.fitting.methods import fit_ml, fit_readings
 from adis_gonio.fitting.uncertainty import missing_curvature
-from adis_gonio.model.effects import effect
+from adis_gonio.model.effects import Conditions, effect
 from tracing.joint_fleets import draw_part, draw_session
 from tracing.recorded import record
 
@@ -66,6 +67,35 @@ def test_the_stated_uncertainty_covers_what_a_missing_effect_does_to_the_paramet
     count = sum(len(result.parameters) for result, _ in lacking)
     assert count >= 6 * len(HIDDEN)
     assert len(misses(lacking, lambda one: one.U)) <= 0.05 * count
+
+
+def test_a_change_with_temperature_that_the_residual_does_not_prove_is_covered():
+    """Parts by their data sheet, read at nine positions while the temperature changes by 4 °C once."""
+    off = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        angle_rad, alpha = rng.permutation(np.radians(np.arange(9) * 40.0)), rng.uniform(0.0, 2 * np.pi)
+        skew, gains = 0.005 * rng.standard_normal(), 1 + 0.005 * rng.standard_normal(2)
+        bias, per_c = rng.normal(0.0, 20.0, 2), rng.normal(0.0, 0.5, 2)
+        degrees = np.where(np.arange(9) < 3, 25.0, 29.0)
+        ideal = np.stack([np.cos(alpha - angle_rad), np.sin(alpha - angle_rad + skew)], axis=1)
+        mean = 1000.0 * gains * ideal + bias + np.outer(degrees - degrees.mean(), per_c)
+        conditions = Conditions(
+            time_s=60.0 * np.arange(9), angle_rad=angle_rad, temperature_c=degrees, order=np.arange(9.0)
+        )
+        found = fit_readings(
+            from_means(
+                mean + 0.5 * rng.standard_normal((9, 2)),
+                np.tile(0.25 * np.eye(2), (9, 1, 1)),
+                conditions,
+                sensor="adis16354",
+            )
+        )
+        truth = {"scale_x": gains[0], "scale_y": gains[1], "delta_phi": np.degrees(skew)}
+        if not found.extra_mg:
+            off.append([(found[name].value - true) / found[name].u for name, true in truth.items()])
+    assert 15 <= len(off) <= 35
+    assert 0.85 < np.sqrt(np.mean(np.square(off))) < 1.15
 
 
 def test_scatter_of_the_readings_alone_would_not_cover_it(lacking, monkeypatch):

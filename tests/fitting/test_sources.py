@@ -92,7 +92,8 @@ def test_a_coefficient_of_temperature_is_as_large_as_the_sheet_and_the_session_a
         size = np.linalg.norm(rows, axis=0)
         information = (rows / size).T @ (rows / size)
         information[-1, -1] += 1 / (figure * size[-1]) ** 2
-        spread.append(math.sqrt(np.linalg.inv(information)[-1, -1]) / size[-1])
+        shown = np.linalg.solve(information, (rows / size).T @ made.fit.residual.ravel())[-1]
+        spread.append(math.hypot(math.sqrt(np.linalg.inv(information)[-1, -1]), shown) / size[-1])
         np.testing.assert_allclose(own.acts_mg[:, axis, axis], spread[axis] * away, rtol=1e-6)
         # What one standard uncertainty of it moves parameters by is what a fit of such readings moves by.
         moved = replace(made.fit.data, mean=made.fit.data.mean + own.acts_mg[:, :, axis] * 1e-3)

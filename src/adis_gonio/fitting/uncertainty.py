@@ -297,7 +297,7 @@ def sources_of(
             _fixture(data, noise, fit, response),
             _gravity(data, fit, len(response)),
             _quantization(data, response),
-            _temperature(data, fit, response),
+            _temperature(data, noise, fit, response),
             _model(data, noise, fit, response, held),
             *links,
         )
@@ -456,7 +456,7 @@ def _quantization(data: Readings, response: Floats) -> Source:
     return Source(QUANTIZATION, "B", "rectangular", u, moves, note, reading_mg2=own)
 
 
-def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
+def _temperature(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats) -> Source:
     """Return the source of uncertainty for the unknown change of each bias with temperature.
 
     `response` (p, n, axes) is the derivative of the parameters by each reading. The size of the change is
@@ -477,7 +477,11 @@ def _temperature(data: Readings, fit: Fit, response: Floats) -> Source:
         # Part of the columns that the parameters do not explain, which the residual can show.
         _, left = _fitted(fit.white(columns), fit.jacobian)
         # Combine the prior of the data sheet with the information in the residual of this session.
-        spread = 1 / np.sqrt(1 / figure**2 + (left**2).sum(axis=0))
+        variance = 1 / (1 / figure**2 + (left**2).sum(axis=0))
+        mean = variance * (fit.residual.ravel() @ left)
+        # The fit leaves the change out, so it counts with its second moment; if the residual is larger than
+        # the noise, the source of missing effects has that of all effects.
+        spread = np.sqrt(variance + (mean**2 if noise.extra_mg == 0 else 0.0))
         acts = columns * spread
         moves = np.einsum("pna,nab->pb", response, acts)
         u = float(np.sqrt((spread**2).mean()))
