@@ -128,7 +128,10 @@ def answer_with_trace(result: FitResult, trace: TraceResult | None, *, own: bool
     if trace is None or not trace.fits or result.session is None:
         return plain
     likely = next((r for r in comparison.results if r.method == "ml"), comparison.best)
-    names = _beyond(likely, trace)
+    # Effects of the traced model that this fit lacks; most fits contain biases.
+    biased = any(e.name.startswith("bias_") for e in likely.parameters)
+    steps = dict.fromkeys(step.effect for step in trace.steps)
+    names = tuple(name for name in steps if not (biased and name == "bias"))
     if not names:
         return replace(plain, recommended=_confirmed(comparison.recommended, trace))
     prediction = _of_trace(result.session, trace)
@@ -146,16 +149,6 @@ def answer_with_trace(result: FitResult, trace: TraceResult | None, *, own: bool
         scores,
         traced=trace,
     )
-
-
-def _beyond(likely: FitResult, trace: TraceResult) -> tuple[str, ...]:
-    """Return the effects of the traced model that the fit `likely` lacks, by name.
-
-    A bias does not count if the fit contains biases, as most fits do.
-    """
-    biased = any(e.name.startswith("bias_") for e in likely.parameters)
-    names = dict.fromkeys(step.effect for step in trace.steps)
-    return tuple(name for name in names if not (biased and name == "bias"))
 
 
 def _confirmed(recommended: Recommendation, trace: TraceResult) -> Recommendation:
