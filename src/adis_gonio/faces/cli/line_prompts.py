@@ -14,6 +14,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -164,8 +165,6 @@ class PlainBench:
                 text = f"paused: nothing is measured; {words.ENTER} goes on"
                 keys = {"": self._runner.unpause, "p": self._runner.unpause, "q": self._runner.stop}
                 self._open(text, keys, wait=True)
-            case _:
-                pass
 
     def _ask_position(self, event: events.PositionAsked) -> None:
         if not self._drawn:
@@ -191,13 +190,11 @@ class PlainBench:
 
     def _put(self, text: str, question: words.Question) -> None:
         """Show a question of the session runner as `text` with its keys, and accept answers to it."""
-
-        def answering(name: str) -> Callable[[], None]:
-            return lambda: self._runner.answer(name)
-
-        known = words.answers_to(question)
-        keys: Actions = {"": answering(words.default_of(question))}
-        keys |= {key.letter: answering(name) for name, key in known.items() if key.letter != words.ENTER}
+        known, answer = words.answers_to(question), self._runner.answer
+        keys: Actions = {"": partial(answer, words.default_of(question))}
+        keys |= {
+            key.letter: partial(answer, name) for name, key in known.items() if key.letter != words.ENTER
+        }
         offers = isinstance(question, events.ExtensionOffered)
         keys |= {} if offers else {words.PAUSE.letter: self._runner.pause}
         listed = [key for key in known.values() if key.letter != words.ENTER]
@@ -317,8 +314,6 @@ class PlainBench:
                 self._hide()
                 if event.summary:
                     self._say(f"\n{loop_line(event.summary)}")
-            case _:
-                pass
         for line, level in [
             *words.lines_about(event),
             *([] if self._auto else words.lines_of_result(event)),

@@ -420,8 +420,6 @@ class BenchApp(App[None]):
                 dialog = Dialog(offer, reason, words.answers_to(question), words.default_of(question))
             case events.PositionAsked() if not (self.state.zero_known or self._drawn):
                 self.action_draw()
-            case _:
-                pass
         self._asked = question
         if dialog is not None:
             self._open_question = dialog
