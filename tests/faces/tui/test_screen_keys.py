@@ -104,7 +104,8 @@ def test_a_guard_takes_its_answers_and_no_others(keys, told):
 class TypedRunner(PlayedRunner):
     """A runner for plain prompts, whose answers end the run."""
 
-    virtual_time, fastest_dps, replayed = True, 180.0, False
+    fastest_dps = 180.0
+    bench = SimpleNamespace(virtual_time=True, replayed=False)
 
     def run(self, *, so_far=True):
         for step in self._script:
