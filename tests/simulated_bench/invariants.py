@@ -115,10 +115,10 @@ class Record:
         self.base, self.forged, self.by_hand = self.offsets(), False, None
 
     def note_hand(self) -> None:
-        """Somebody has written other offsets to the part."""
+        """Somebody has tried to write other offsets to the part."""
+        if self.readable() and self.offsets() != self.base:
+            self.by_hand = self.offsets()
         self.base = self.offsets()
-        if self.readable():
-            self.by_hand = self.base
 
     def note_power(self) -> None:
         """The part has lost its power, and with it numbers that were written by hand and not saved."""
