@@ -847,7 +847,7 @@ def _drawn(fitted: _Fitted, profiles: dict[Kind, Profile]) -> Floats:
     if {"flicker", "walk"} <= {*lacking} and _slow(fitted) < SLOW_NOISE:
         lacking = [kind for kind in lacking if kind not in ("flicker", "walk")]
     absent = {KINDS.index(kind): 0.0 for kind in lacking}
-    return fitted.likelihood.maximum(fitted.theta.copy(), absent)[0]
+    return fitted.likelihood.maximum(fitted.theta, absent)[0]
 
 
 def _slow(fitted: _Fitted) -> float:
@@ -855,11 +855,9 @@ def _slow(fitted: _Fitted) -> float:
 
     It is an upper bound of this probability, because both coefficients cannot be negative.
     """
-    _, without = fitted.likelihood.maximum(fitted.theta.copy(), {2: 0.0, 3: 0.0})
-    # Mixture of χ² with one and two degrees of freedom, an upper bound on the boundary.
+    without = fitted.likelihood.maximum(fitted.theta, {2: 0.0, 3: 0.0})[1]
+    # Mixture of χ² with one and two degrees of freedom, an upper bound on the boundary; 1 for no gain.
     ratio = max(without - fitted.deviance, 0.0)
-    if ratio <= 0:
-        return 1.0
     return float(0.5 * special.chdtrc(1, ratio) + 0.5 * special.chdtrc(2, ratio))
 
 

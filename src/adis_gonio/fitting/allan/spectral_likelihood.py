@@ -815,8 +815,7 @@ def profile(likelihood: Likelihood, theta: Floats, least: float, index: int) -> 
     `theta` is the maximum of the likelihood over all squared coefficients, and `least` its deviance;
     `index` is the coefficient's index.
     """
-    _, deviance = likelihood.maximum(theta.copy(), {index: 0.0})
-    ratio = max(deviance - least, 0.0)
+    ratio = max(likelihood.maximum(theta, {index: 0.0})[1] - least, 0.0)
     p_value = 0.5 * float(special.chdtrc(1, ratio)) if theta[index] > 0 else 1.0
     u_squared = likelihood.u_squared(theta, index)
     sigma = math.sqrt(theta[index])
@@ -834,10 +833,8 @@ def profile(likelihood: Likelihood, theta: Floats, least: float, index: int) -> 
 
     # The squares may be far below SciPy's absolute tolerance.
     root = partial(optimize.brentq, beyond, xtol=1e-300, rtol=1e-5)
-    begin, top = (
-        float(theta[index]),
-        theta[index] + NORMAL_95 * max(u_squared, 1e-12 * likelihood.scale[index]),
-    )
+    begin = float(theta[index])
+    top = begin + NORMAL_95 * max(u_squared, 1e-12 * likelihood.scale[index])
     # Double or halve the bound until it brackets the end of the interval.
     for _ in range(60):
         if beyond(top) > 0:
