@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adis_gonio.base.errors import BusError, ChipError
+from adis_gonio.base.errors import BusError, ChipError, SilentChipError
 from adis_gonio.bench.events import Configured, Problem
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.bus import BusUrl, Capability, FrameBlock, FrameStream, serial
@@ -186,6 +186,15 @@ def test_the_first_error_in_a_stream_counts_and_a_failed_restoration_is_not_hidd
         raise ZeroDivisionError
     with pytest.raises(BusError, match="stays on"), stream() as scans:
         next(scans)
+
+
+def test_a_line_that_sticks_within_a_block_ends_the_stream():
+    words = np.full((40, 3), ND, np.uint16)
+    words[12:20] = 0xFFFF
+    stream = StreamedScans(Played(words, 10), layout())
+    next(stream)
+    with pytest.raises(SilentChipError, match="stuck high"):
+        next(stream)
 
 
 def test_many_scans_without_news_end_the_stream_even_after_a_good_beginning():

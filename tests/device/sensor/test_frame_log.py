@@ -82,6 +82,18 @@ def test_the_log_finds_frames_that_break_a_rule_of_timing(tmp_path: Path) -> Non
     assert not problems["ZACCL_OUT"]
 
 
+def test_the_log_finds_frames_too_soon_after_a_hard_reset(tmp_path: Path) -> None:
+    path = tmp_path / "reset.rec"
+    with RecordingBus(SimBus(World(seed=1)), path) as bus:
+        bus.hard_reset()
+        bus.exchange([0x0A00, 0x0000])
+        bus.sleep_s(0.5)
+        bus.exchange([0x0C00, 0x0000])
+    problems = {row.register: row.problem for row in rows_of(path) if row.frame}
+    assert "before the end of a hard reset" in problems["XACCL_OUT"]
+    assert not problems["YACCL_OUT"]
+
+
 def test_the_command_lists_frames(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = str(recorded)
     assert main(["frames", path]) == 0
