@@ -131,6 +131,7 @@ def damaged():
     yield put("parameters", "scale_x", "value", value=None), "parameters.scale_x.value is None"
     yield put("parameters", "scale_x", "value", value=10**400), "or too large"
     yield put("parameters", "scale_x", "u", value=-1.0), "scale_x.u is -1.0"
+    yield put("parameters", "scale_x", "dof", value=0), "scale_x.dof is 0"
     yield put("offsets_lsb", value=[2**40, 0, 0]), "from -2048 to 2047"
     yield put("assumed", value=7), "assumed is 7"
     yield put("covariance", "matrix", 0, 0, value=-1.0), "variance is negative"

@@ -93,7 +93,7 @@ _BODY = {
     "parameters": mapping_of(
         fields(
             {"value": _VALUE, "u": nullable(number(0.0, 1e15)), "unit": text},
-            {"dof": nullable(number(0.0, 1e300))},
+            {"dof": nullable(number(0.1, 1e300))},
             others=anything,
         )
     ),

@@ -427,6 +427,7 @@ def test_a_truncated_archive_gives_one_line_and_is_left_as_it_is(capsys, tmp_pat
         (["calibrate", SIM, "--resume", "-o", "nosuch.session"], 1, "nosuch.session"),
         (["calibrate", "iio:ip:localhost", "--poll", "-o", "x.session"], 2, "--poll"),
         (["stream", "iio:ip:localhost", "--poll"], 2, "--poll"),
+        (["calibrate", SIM, "--plan", "mmpm", "--auto", "--extend", "-o", "x.session"], 2, "two-position"),
         (["calibrate", SIM, "--dwell", "0", "--auto", "-o", "x.session"], 2, "dwell_s"),
         (["calibrate", SIM, "--dwell", "ten", "--auto", "-o", "x.session"], 2, "ten"),
         (["calibrate", SIM, "--auto", "-o", "/nosuchdir/x.session"], 1, "/nosuchdir"),

@@ -386,6 +386,8 @@ def _choose_plan(name: str | None, options: dict[str, Any]) -> Plan:
     name = name or DEFAULT_PLAN
     others = _POSITION_OPTIONS | {"duration_s", "turns"}
     option.refuse(sorted(others - _PLAN_OPTIONS.get(name, _POSITION_OPTIONS)), f"not with --plan {name}")
+    if name != DEFAULT_PLAN:
+        option.refuse(("extend",), f"{name} is complete: only --plan {DEFAULT_PLAN} can be extended")
     positions, turns = options["positions"], options["turns"]
     if name == "free-turn":
         turns = recorder.TURNS if turns is None else turns

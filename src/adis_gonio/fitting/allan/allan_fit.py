@@ -495,10 +495,9 @@ def rests_of(session: Session, part: Part) -> Rests:
     period_s = _period([dwell for dwell, _ in held], where)
     records, positions, lost = _records(held, period_s, where)
     if not records:
-        longest = max(len(series) for _, series in held)
         raise DataError(
-            f"{where}: no rest without a gap is longer than {counted(longest, 'sample')}"
-            f" ({longest * period_s:.3g} s): noise needs {LEAST}; let the part lie still for longer"
+            f"{where}: no rest has the {LEAST} samples without a gap ({LEAST * period_s:.3g} s) that noise"
+            " needs; let the part lie still for longer"
         )
     still = [axis for axis in range(records[0].shape[1]) if all(not np.ptp(r[:, axis]) for r in records)]
     if still:
@@ -535,7 +534,7 @@ def _records(
 
     A gap is 2.5 sample periods `period_s` or longer; `where` names the session in messages.
 
-    Returns the records, the number of the dwell of each, and the number of samples lost in the gaps.
+    Returns the records, the number of the dwell of each, and the number of samples lost in shorter gaps.
     """
     records, positions, lost = [], [], 0
     for dwell, series in held:
