@@ -120,16 +120,14 @@ def test_u_is_that_of_calibrations_drawn_from_the_covariance():
                 parameters=tuple(
                     replace(one, value=float(v)) for one, v in zip(made.parameters, row, strict=True)
                 ),
-            )
-            .readings_of(rate, force)
-            .rate_dps
+            ).correct(rate, force)
             for row in drawn
         ]
     )
-    stated = made.readings_of(rate, force)
-    assert made.correct(stated.rate_dps, force) == pytest.approx(rate)
+    stated = made.rates(rate, force)
+    assert stated.rate_dps == pytest.approx(made.correct(rate, force))
     assert stated.u_dps == pytest.approx(shown.std(axis=0), rel=0.06)  # 4000 draws know a σ to 1.1 %
-    assert np.isnan(replace(made, covariance=None).readings_of(rate, force).u_dps).all()
+    assert np.isnan(replace(made, covariance=None).rates(rate, force).u_dps).all()
 
 
 def test_the_covariance_of_a_result_is_taken_by_name_whatever_its_order():

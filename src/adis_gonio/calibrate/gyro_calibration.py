@@ -13,7 +13,7 @@ of the accelerometers, because gyros may be calibrated before accelerometers.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -259,6 +259,22 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         corrected = _corrected(self.by_kind(self.values), rate, *conditions)
         return corrected[0] if single else corrected
 
+    def rates(
+        self,
+        rate_dps: ArrayLike,
+        force_g: ArrayLike | None = None,
+        temperature_c: ArrayLike | None = None,
+        *,
+        supply_v: ArrayLike | None = None,
+    ) -> Rates:
+        """Convert readings of the gyros to true rates of turn with their standard uncertainties.
+
+        The uncertainty comes from the parameters of the calibration. `rate_dps` are the readings, `force_g`
+        the readings of the accelerometers (required if a g-sensitivity is known). The default of
+        `temperature_c` and `supply_v` is the mean of the session.
+        """
+        return self._rates(_corrected, rate_dps, (force_g, temperature_c, supply_v))
+
     def readings_of(
         self,
         rate_dps: ArrayLike,
@@ -272,9 +288,24 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         This is the inverse of `correct`. `force_g` are the readings of the accelerometers (required if a
         g-sensitivity is known). The default of `temperature_c` and `supply_v` is the mean of the session.
         """
+        return self._rates(_read, rate_dps, (force_g, temperature_c, supply_v))
+
+    def _rates(
+        self,
+        function: Callable[..., Floats],
+        rate_dps: ArrayLike,
+        felt: tuple[ArrayLike | None, ArrayLike | None, ArrayLike | None],
+    ) -> Rates:
+        """Evaluate a function of the parameters at given rates and conditions, with its uncertainty.
+
+        `function` takes the parameters by kind, rates (n, 3) and the results of `_conditions`, and returns
+        (n, 3). `felt` are the force in g, the temperature and the supply voltage; each may be None.
+        """
         rate, single = checked_rows("rate_dps", rate_dps, (3,), "°/s")
-        conditions = self._conditions(len(rate), force_g, temperature_c, supply_v)
-        value, variance = self._with_variance(lambda values: _read(self.by_kind(values), rate, *conditions))
+        conditions = self._conditions(len(rate), *felt)
+        value, variance = self._with_variance(
+            lambda values: function(self.by_kind(values), rate, *conditions)
+        )
         at = 0 if single else slice(None)
         return Rates(value[at], np.sqrt(variance)[at])
 
