@@ -79,11 +79,12 @@ def test_offsets_of_the_page_take_their_part_out_of_the_bias(handed_over):
 
 
 def test_every_format_of_the_page_is_one_of_the_command():
-    from adis_gonio.handover.formats import ENDINGS
+    from adis_gonio.handover.formats import FORMATS
 
     rows = re.findall(r"^\| (`\..*?) \| `([a-z-]+)` \|", (DOCS / "handover.md").read_text("utf-8"), re.M)
     said = {ending: kind for endings, kind in rows for ending in re.findall(r"`(\.[a-z.]+)`", endings)}
-    assert said == {ending: kind for ending, kind in ENDINGS.items() if ending != ".hpp"}
+    known = {ending: one.name for one in FORMATS for ending in one.endings if ending != ".hpp"}
+    assert said == known
 
 
 def test_the_page_on_python_runs_from_top_to_bottom(tmp_path, monkeypatch, capsys):

@@ -110,7 +110,7 @@ def test_without_shared_noise_even_spacing_cannot_be_beaten(best, start_deg):
     """First-order trigonometric regression: even spacing is D- and G-optimal, whatever the start angle."""
     found = best_plan(Bench(0.0, flicker_mg=0.0, start_deg=start_deg), 9, best, grid_deg=10.0)
     over_even = found.gains[0]
-    assert over_even.over == "even"
+    assert over_even.name == "even"
     # Information on six parameters of nine pairs of readings, whatever nine: tr = const, so det is bounded.
     assert over_even.criterion == pytest.approx(1.0, abs=2e-3)
     theta = np.radians([position.angle_deg for position in found.plan.positions])
@@ -122,7 +122,7 @@ def test_without_shared_noise_even_spacing_cannot_be_beaten(best, start_deg):
 def test_the_same_seed_gives_the_same_plan_and_it_beats_even_spacing_and_tumble():
     one, again = (best_plan(Bench(0.02), 12, seed=4) for _ in range(2))
     assert one.plan == again.plan
-    assert {gain.over for gain in one.gains} == {"even", "tumble"}
+    assert {gain.name for gain in one.gains} == {"even", "tumble"}
     assert all(gain.criterion > 1.0 for gain in one.gains)
     angles = [position.angle_deg for position in one.plan.positions]
     assert all(a != b for a, b in itertools.pairwise(angles))
