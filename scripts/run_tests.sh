@@ -21,7 +21,7 @@ fi
 unset PYTHONDONTWRITEBYTECODE
 # Threads of BLAS in addition to the workers would wait for one another on matrices of a hundred rows.
 export OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"
-# A session syncs its file to the disk with each commit. In memory nobody waits for that; it takes 2 GB, and programs
+# A session syncs its file to the disk with each commit. In memory nobody waits for that: it takes 2 GB of 4, and programs
 # have to run from there.
 free_kb="$(df -Pk /dev/shm 2>/dev/null | awk 'NR == 2 { print $4 }')"
 if [ -z "${TMPDIR:-}" ] && [ "${free_kb:-0}" -gt 4000000 ] && ! grep -q ' /dev/shm .*noexec' /proc/mounts; then
