@@ -79,7 +79,7 @@ def test_the_page_stands_alone(recording, capsys, tmp_path):
         (["rest.csv"], 1, "add '# filter_m: M' or give --filter M"),
         (["rest.csv", "--sensor-part", "mag"], 2, "'gyro', 'accelerometer'"),
         (["accel.csv"], 1, "there are no gyros (gx, gy, gz): give --sensor-part accelerometer"),
-        (["short.csv"], 1, "no rest has the 128 samples"),
+        (["short.csv"], 1, "no rest has 128 samples"),
         (["means.csv"], 1, "one averaged sample each"),
     ],
 )

@@ -215,7 +215,7 @@ def test_the_document_has_interval_and_uncertainties_that_agree():
         (
             still(np.random.default_rng(0).standard_normal((100, 3))),
             DataError,
-            "no rest has the 128 samples",
+            "no rest has 128 samples",
         ),
         (still(np.zeros((500, 3))), DataError, "x, y, z never changes"),
         (still(np.full((500, 3), np.nan)), DataError, "NaN"),

@@ -496,8 +496,8 @@ def rests_of(session: Session, part: Part) -> Rests:
     records, positions, lost = _records(held, period_s, where)
     if not records:
         raise DataError(
-            f"{where}: no rest has the {LEAST} samples without a gap ({LEAST * period_s:.3g} s) that noise"
-            " needs; let the part lie still for longer"
+            f"{where}: no rest has {counted(LEAST, 'sample')} ({LEAST * period_s:.3g} s) without a gap, as"
+            " noise needs; let the part lie still for longer"
         )
     still = [axis for axis in range(records[0].shape[1]) if all(not np.ptp(r[:, axis]) for r in records)]
     if still:
