@@ -13,11 +13,13 @@ from adis_gonio.calibrate import Calibration
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.device.sensor.registers import ACCEL_OUT
 from adis_gonio.device.sensor.settings import Configuration
+from adis_gonio.faces.cli import main
 from adis_gonio.live.live_angle import (
     AngleMeter,
     LiveAngle,
     LiveSource,
     calibration_for,
+    corrected_angle,
     open_live,
     raw_angle_deg,
 )
@@ -143,6 +145,18 @@ def test_a_calibration_gives_the_stages_angle_where_the_raw_one_is_off(calibrati
     assert reading.u_deg < 0.1
     assert abs(wrap_degrees(reading.angle_deg - angle_deg)) > 5 * reading.u_deg
     assert live(None, angle_deg).u_deg < reading.u_deg, "the calibration adds its uncertainty"
+
+
+def test_the_angle_by_a_calibration_from_poses_has_the_sense_of_the_raw_one(tmp_path):
+    path = tmp_path / "poses.session"
+    assert main(["simulate", "--plan", "poses", "--dwell", "1", "--seed", "4", "-o", str(path)]) == 0
+    calibration = load_calibration(path)
+    assert "alpha" not in calibration
+    reading = at_rest(30.0, 1, 0.0, np.random.default_rng(0))[0]
+    angle_deg, u_deg = corrected_angle(calibration, reading, None)
+    assert raw_angle_deg(reading) == pytest.approx(30.0)
+    assert angle_deg == pytest.approx(30.0, abs=3.0)
+    assert 0 < u_deg < 1
 
 
 def test_what_the_chip_corrects_by_now_is_not_corrected_again(calibration):
