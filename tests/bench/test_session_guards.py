@@ -297,7 +297,10 @@ def test_a_first_dwell_at_a_wrong_place_can_be_undone_when_right_turns_look_wron
 
 def test_a_repeated_dwell_is_not_judged_by_the_one_that_it_replaces(sensor, path):
     """The first dwell was made at 5°; the operator sees it and repeats it at 0°."""
-    wrong_first = lambda event, times: 5.0 if event.place == 0 and times == 0 else event.position.angle_deg  # noqa: E731
+
+    def wrong_first(event, times):
+        return 5.0 if event.place == 0 and times == 0 else event.position.angle_deg
+
     runner = SessionRunner.begin(sensor, path, plan("four-position"), QUICK, fixture_sigma_deg=0.02)
     hand, turned_s = Hand(sensor, wrong_first, lambda event, times: "keep"), None
     for event in runner.run(so_far=False):
