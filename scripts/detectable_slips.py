@@ -13,10 +13,10 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.slips.position_model import (
     Increments,
-    KnownFaults,
     Name,
     Pattern,
     Whitened,
+    combined,
     patterns_of,
 )
 from adis_gonio.fitting.slips.session_positions import CERTAIN, search_faults
@@ -40,18 +40,19 @@ def detectable_deg(readings: Readings, turns: Increments, name: Name) -> dict[in
     if searched is None:
         return {}
     rows, grid, accepted, _ = searched
-    known = KnownFaults.of(rows, accepted)
+    known = combined(rows, accepted)
     every = patterns_of(rows, known.error_rad)
     patterns = [p for p in every if name in p.names and p.columns.shape[1] == 1]
     if not patterns:
         return {}
-    residual = known.residual(rows)[:, None]
+    residual = rows.observed(known.error_rad, known.zero_rad)[:, None]
     expected = (rows.design @ rows.prior_mean)[:, None]
     likely = []
-    for white in Whitened.at_each(rows, grid, known.columns):
+    for scatter in grid:
+        white = Whitened.of(rows, scatter, known.columns)
         likely.append(float(white.weight(white.white(residual - expected))[0]))
     none = known.columns[:, :0]
-    accounts = list(Whitened.at_each(rows, grid, none))
+    accounts = [Whitened.of(rows, scatter, none) for scatter in grid]
     root = accounts[int(np.argmax(likely))].root
     drawn = root @ np.random.default_rng(0).standard_normal((len(root), _DRAWN))
     whitened = [(account, account.white(drawn)) for account in accounts]

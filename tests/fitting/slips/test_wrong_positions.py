@@ -116,6 +116,14 @@ def test_a_wrong_entry_is_found_though_the_gyro_lost_another_turn():
     assert [(one.finding, one.position) for one in found.findings] == [("mistyped", 4)]
 
 
+@pytest.mark.parametrize("lost", [{3: 25.0, 8: -4.0}, dict.fromkeys(range(1, 12), 77.0)])
+def test_a_wrong_entry_is_corrected_by_gravity_alone_if_the_gyro_is_useless(lost):
+    (one,) = diagnose(*angles(AROUND, changed(AROUND, d4=210.0), gyro_error_deg=lost)).findings
+    assert one.gyro_deg is None
+    assert one.correction == "4=120"
+    assert abs(one.gravity_deg[0] - 120.0) < 3 * one.gravity_deg[1] < 0.3
+
+
 def test_the_gain_of_a_gyro_is_a_nuisance_and_no_threshold():
     """3 % off is three of its standard deviations: 0.9° a turn, many times the noise of a turn."""
     assert not diagnose(*angles(AROUND, AROUND, gain=1.03)).findings

@@ -167,14 +167,6 @@ class Rows:
     def __len__(self) -> int:
         return len(self.declared)
 
-    def without_gyro(self) -> Rows:
-        """Return a copy of the linear model without the rows for turns measured by the gyro."""
-        n = 2 * len(self)
-        return replace(
-            self, gyro_rad=self.gyro_rad[:0], turn=self.turn[:0], design=self.design[:n],
-            by_error=self.by_error[:n], noise=self.noise[:n, :n], reading=self.reading[:n],
-        )  # fmt: skip
-
     def observed(self, error_rad: Floats, zero_rad: float) -> Floats:
         """Return the residual (m,) of each row if the positions have these errors.
 
@@ -422,25 +414,22 @@ class Pattern:
     ----------
     dwells : tuple of int
         Indices of the affected dwells; for a fault of the gyro, the dwell in which the turn ends.
-    error_rad : (n,) float
-        Error of each position at which the model is linearised.
+    unit : (n,) float
+        Error of each position for a size of 1.
+    amplitude : float
+        Size at which the model is linearised.
     columns : (m, q) float
         Change of the rows of the model by each free size of the fault; q is 0, 1 or 2.
-    unit : (n,) float
-        Error of each position for a size of 1, if one size is free; otherwise 0.
-    amplitude : float
-        Size of the fault that is already in `error_rad`.
-    zero_rad : float
-        Start angle α if the positions have these errors.
     names : mapping of Name to (float, AmplitudePrior or None)
         ln of the prior of each possible name, and the prior of the size; None without a free size.
+    zero_rad : float
+        Start angle α if the positions have these errors.
     """
 
     dwells: tuple[int, ...]
-    error_rad: Floats
-    columns: Floats
     unit: Floats
     amplitude: float
+    columns: Floats
     names: Names
     zero_rad: float
 
@@ -448,6 +437,11 @@ class Pattern:
     def name(self) -> Name:
         """First of the possible names of the fault."""
         return next(iter(self.names))
+
+    @property
+    def error_rad(self) -> Floats:
+        """Error (n,) of each position at which the model is linearised."""
+        return self.amplitude * self.unit
 
 
 def patterns_of(rows: Rows, before_rad: Floats) -> list[Pattern]:
@@ -466,12 +460,12 @@ def patterns_of(rows: Rows, before_rad: Floats) -> list[Pattern]:
         columns = np.zeros((m, 2))
         columns[k, 0] = columns[n + k, 1] = 1.0
         pushed: Names = {"gravity_wrong": (math.log(SHARE["gravity_wrong"] / n), None)}
-        found.append(Pattern((k,), np.zeros(n), columns, np.zeros(n), 0.0, pushed, zero))
+        found.append(Pattern((k,), np.zeros(n), 0.0, columns, pushed, zero))
     for row, k in enumerate(rows.turn.tolist()):
         columns = np.zeros((m, 1))
         columns[2 * n + row] = 1.0
         names: Names = {"gyro_wrong": (math.log(SHARE["gyro_wrong"] / len(rows.turn)), _any_size)}
-        found.append(Pattern((k,), np.zeros(n), columns, np.zeros(n), 0.0, names, zero))
+        found.append(Pattern((k,), np.zeros(n), 0.0, columns, names, zero))
     return found
 
 
@@ -490,7 +484,7 @@ def _single(rows: Rows, seen: Floats, zero: float) -> Iterator[Pattern]:
             "mistyped": (math.log(SHARE["mistyped"] / len(places)), typed),
             "misset": (math.log(SHARE["misset"] / len(places)), _any_size),
         }
-        yield Pattern((k,), amplitude * unit, rows.by_error @ unit[:, None], unit, amplitude, names, zero)
+        yield Pattern((k,), unit, amplitude, rows.by_error @ unit[:, None], names, zero)
 
 
 def _slipped(rows: Rows, seen: Floats) -> Iterator[Pattern]:
@@ -505,7 +499,7 @@ def _slipped(rows: Rows, seen: Floats) -> Iterator[Pattern]:
         amplitude = -float(wrap_radians(np.array(common_zero(seen[declared & later]) - zero)))
         unit = later.astype(float)
         names: Names = {"slipped": (prior, _any_size)}
-        yield Pattern((k,), amplitude * unit, rows.by_error @ unit[:, None], unit, amplitude, names, zero)
+        yield Pattern((k,), unit, amplitude, rows.by_error @ unit[:, None], names, zero)
 
 
 def _swapped(rows: Rows, before_rad: Floats, seen: Floats, zero: float) -> Iterator[Pattern]:
@@ -540,7 +534,15 @@ def _fixed(
     rows: Rows, name: Name, dwells: tuple[int, ...], error: Floats, prior: float, zero: float
 ) -> Pattern:
     none = np.zeros((len(rows.by_error), 0))
-    return Pattern(dwells, error, none, np.zeros(len(rows)), 0.0, {name: (math.log(prior), None)}, zero)
+    return Pattern(dwells, error, 1.0, none, {name: (math.log(prior), None)}, zero)
+
+
+def combined(rows: Rows, accepted: Sequence[Pattern]) -> Pattern:
+    """Return the faults accepted so far as one pattern without a name; without any it has no error."""
+    error = sum((p.error_rad for p in accepted), np.zeros(len(rows)))
+    columns = np.hstack([np.zeros((len(rows.by_error), 0)), *(p.columns for p in accepted)])
+    zero = common_zero(wrap_radians(rows.seen_rad + error)[rows.declared])
+    return Pattern((), error, 1.0, columns, {}, zero)
 
 
 # -- priors of amplitudes ------------------------------------------------------------------------------
@@ -594,11 +596,11 @@ WANDERS = ((math.radians(0.1), 0.0), (math.radians(0.5), 0.0), (0.0, 0.002))
 of a random walk, rad), and drift of the bias of an axis (as a share of gravity)."""
 WANDERS_PRIOR = 0.02
 """Prior probability of each entry of `WANDERS`."""
-NEGLIGIBLE = 40.0
-"""Difference of log probability (nats) to the best fault, above which the case of a useless gyro is not
-computed for all faults."""
 GYRO_FAILS = 0.01
 """Prior probability that the gyro is useless: another unit, another axis, dead."""
+USELESS_RAD = math.sqrt(2 * math.pi)
+"""Standard deviation, in rad, of a turn by a useless gyro; it gives small angles the density 1/2π of an
+angle that may have any value."""
 
 
 @dataclass(frozen=True)
@@ -618,6 +620,8 @@ class ScatterPoint:
     turns_rad, drifts : float
         Standard deviation, at the end of the session, of a slow turn of the part (rad) and of a slow change
         of the readings (share of gravity).
+    gyro_rad : float
+        Standard deviation of each turn by the gyro, in addition to its noise.
     """
 
     position_rad: float
@@ -626,12 +630,14 @@ class ScatterPoint:
     log_prior: float
     turns_rad: float = 0.0
     drifts: float = 0.0
+    gyro_rad: float = 0.0
 
 
-def scatters(fixture_rad: float | None) -> list[ScatterPoint]:
+def scatters(fixture_rad: float | None, *, gyro: bool) -> list[ScatterPoint]:
     """Return a grid of possible standard deviations of the errors that a session without a fault has.
 
-    Each point of the grid has its prior probability.
+    Each point of the grid has its prior probability. With a `gyro` each point occurs twice: the gyro works,
+    or it is useless.
 
     `fixture_rad` is the stated standard uncertainty of a declared angle; None if it is not stated.
     """
@@ -651,41 +657,13 @@ def scatters(fixture_rad: float | None) -> list[ScatterPoint]:
         ScatterPoint(math.hypot(stated, a), 0.0, LARGER[0], math.log(pa * WANDERS_PRIOR), turns, drifts)
         for (a, pa), (turns, drifts) in itertools.product(zip(MORE_RAD, more, strict=True), WANDERS)
     ]
-    return still + wandering
-
-
-@dataclass(frozen=True)
-class KnownFaults:
-    """Faults that are already accepted, in addition to which the next fault is searched.
-
-    Attributes
-    ----------
-    error_rad : (n,) float
-        Error of each position by these faults, at the sizes at which the model is linearised.
-    zero_rad : float
-        Start angle α, estimated after these faults are corrected.
-    columns : (m, q) float
-        Changes of the rows of the linear model by the free sizes of these faults.
-    """
-
-    error_rad: Floats
-    zero_rad: float
-    columns: Floats
-
-    @classmethod
-    def of(cls, rows: Rows, accepted: Sequence[Pattern]) -> KnownFaults:
-        """Combine the faults that were accepted so far.
-
-        Without any, all declared angles are taken as correct.
-        """
-        error = sum((p.error_rad for p in accepted), np.zeros(len(rows)))
-        zero = common_zero(wrap_radians(rows.seen_rad + error)[rows.declared])
-        none = np.zeros((len(rows.by_error), 0))
-        return cls(error, zero, np.hstack([none, *(p.columns for p in accepted)]))
-
-    def residual(self, rows: Rows) -> Floats:
-        """Return the residual (m,) of each row of the linear model, given these faults."""
-        return rows.observed(self.error_rad, self.zero_rad)
+    grid = still + wandering
+    cases = ((0.0, 1 - GYRO_FAILS), (USELESS_RAD, GYRO_FAILS)) if gyro else ((0.0, 1.0),)
+    return [
+        replace(one, log_prior=one.log_prior + math.log(share), gyro_rad=gyro_rad)
+        for gyro_rad, share in cases
+        for one in grid
+    ]
 
 
 @dataclass(frozen=True)
@@ -697,78 +675,54 @@ class Whitened:
 
     Attributes
     ----------
-    rows : Rows
-        Rows of the linear model, not scaled.
-    scatter : ScatterPoint
-        Assumption on the ordinary errors.
     design : (m, p + q) float
         Columns of all values with a prior: calibration, effects, and sizes of known faults.
     prior_sd : (p + q,) float
         Prior standard deviation of the value of each column of `design`.
     root, inverse : (m, m) float
         Cholesky factor of the total covariance of the rows, and its inverse.
+    log_scale : float
+        ln of the prior of the assumption, and of the likelihood of residuals that are zero.
     """
 
-    rows: Rows
-    scatter: ScatterPoint
     design: Floats
     prior_sd: Floats
     root: Floats
     inverse: Floats
+    log_scale: float
 
     @classmethod
-    def at_each(cls, rows: Rows, grid: Sequence[ScatterPoint], known: Floats) -> Iterator[Whitened]:
-        """Yield the whitened rows for each point of the grid.
-
-        The columns of `known` (m, q) are changes of the rows by free sizes of known faults.
-        """
+    def of(cls, rows: Rows, scatter: ScatterPoint, known: Floats) -> Whitened:
+        """Whiten the rows; the columns of `known` (m, q) are changes by free sizes of known faults."""
         design = np.hstack([rows.design, known])
-        free = np.full((len(grid), known.shape[1]), np.pi)
-        larger = np.array([[scatter.effects] for scatter in grid])
-        prior_sd = np.hstack([rows.prior_sd * np.where(rows.effect, larger, 1.0), free])
-        # Together, since one call costs more than a small matrix; of large ones a few fill the memory.
-        step = max(1, _TOGETHER // design.shape[0] ** 2)
-        for start in range(0, len(grid), step):
-            part = slice(start, start + step)
-            spread = design * prior_sd[part, None, :]
-            covariance = _noise(rows, grid[part]) + spread @ spread.transpose(0, 2, 1)
-            root = np.linalg.cholesky(covariance)
-            for one in zip(grid[part], prior_sd[part], root, np.linalg.inv(root), strict=True):
-                scatter, own, *roots = one
-                yield cls(rows, scatter, design, own, *roots)
+        larger = np.where(rows.effect, scatter.effects, 1.0)
+        prior_sd = np.concatenate([rows.prior_sd * larger, np.full(known.shape[1], np.pi)])
+        spread = design * prior_sd
+        root = np.linalg.cholesky(_noise(rows, scatter) + spread @ spread.T)
+        normal = np.log(np.diag(root)).sum() + 0.5 * len(root) * math.log(2 * math.pi)
+        return cls(design, prior_sd, root, np.linalg.inv(root), scatter.log_prior - float(normal))
 
     def weight(self, z: Floats) -> Floats:
-        """Return ln (prior · likelihood) (k,) of this point of the grid, for k sets of residuals.
-
-        `z` (m, k) are the residuals of each set, whitened at this point.
-        """
-        scale = -np.log(np.diag(self.root)).sum() - 0.5 * len(self.root) * math.log(2 * math.pi)
-        return np.asarray(scale + self.scatter.log_prior - 0.5 * (z * z).sum(axis=0))
+        """Return ln (prior · likelihood) (k,) of the assumption for k sets of whitened residuals (m, k)."""
+        return np.asarray(self.log_scale - 0.5 * (z * z).sum(axis=0))
 
     def white(self, values: Floats) -> Floats:
         """Whiten changes (m, …) of the rows: mix the rows so that their covariance is the identity."""
         return np.asarray(self.inverse @ values)
 
 
-_TOGETHER = 10**6
-"""Largest number of matrix elements that are factorised in one call."""
-
-
-def _noise(rows: Rows, grid: Sequence[ScatterPoint]) -> Floats:
-    """Return the covariance (g, m, m) of the rows from noise and ordinary errors at g grid points."""
+def _noise(rows: Rows, scatter: ScatterPoint) -> Floats:
+    """Return the covariance (m, m) of the rows from noise and ordinary errors."""
     n = len(rows)
-    every = [(s.position_rad, s.reading, s.turns_rad, s.drifts) for s in grid]
-    position, reading, turns, drifts = np.array(every).T[:, :, None]
-    # e without a fault scatters around the declared angle, or anywhere without one.
-    turned = rows.by_error * np.where(rows.declared, position, NOWHERE_RAD)[:, None, :]
-    noise = rows.noise + turned @ turned.transpose(0, 2, 1)
-    own = np.arange(2 * n)
-    noise[:, own, own] += reading**2
     # Random walks over the session: of the part in its mount, and of the zeros of both axes.
     walk = np.minimum(rows.course[:, None], rows.course)
-    noise += turns[:, :, None] ** 2 * (rows.by_error @ walk @ rows.by_error.T)
+    # e without a fault scatters around the declared angle, or anywhere without one.
+    error = np.diag(np.where(rows.declared, scatter.position_rad, NOWHERE_RAD) ** 2)
+    error += scatter.turns_rad**2 * walk
     readings = np.tile(walk, (2, 2)) * (rows.reading[: 2 * n] @ rows.reading[: 2 * n].T)
-    noise[:, : 2 * n, : 2 * n] += drifts[:, :, None] ** 2 * readings
+    noise = rows.noise + rows.by_error @ error @ rows.by_error.T
+    noise[: 2 * n, : 2 * n] += scatter.reading**2 * np.eye(2 * n) + scatter.drifts**2 * readings
+    noise[2 * n :, 2 * n :] += scatter.gyro_rad**2 * np.eye(len(rows.turn))
     return np.asarray(noise)
 
 
@@ -804,67 +758,35 @@ class Weighed:
         return None if chosen is None or whole[chosen] <= self.none else chosen
 
 
-def weigh(
-    rows: Rows, grid: Sequence[ScatterPoint], patterns: Sequence[Pattern], known: KnownFaults
-) -> Weighed:
+def weigh(rows: Rows, grid: Sequence[ScatterPoint], patterns: Sequence[Pattern], known: Pattern) -> Weighed:
     """Return the log probability of each further fault, given the known faults.
 
     `rows` are the linearised equations of the session, `grid` the assumptions on its ordinary errors over
-    which the probability is averaged, `patterns` the possible faults. The probability is the sum of two
-    cases: the gyro works, or the gyro is useless.
+    which the probability is averaged, `patterns` the possible faults, and `known` the known faults as one
+    pattern (`combined`).
     """
-    table, keys = _weighed(rows, grid, patterns, known)
-    logs = np.logaddexp.reduce(table, axis=1)
-    if len(rows.turn):
-        logs = logs + math.log(1 - GYRO_FAILS)
-        # A useless gyro shows any angle, and its turns have a uniform density.
-        bare = rows.without_gyro()
-        share = math.log(GYRO_FAILS) - len(rows.turn) * math.log(2 * math.pi)
-        cut = replace(known, columns=known.columns[: len(bare.by_error)])
-        top = int(np.argmax(logs))
-        one = patterns if top == 0 else [patterns[keys[top - 1][0]]]
-        first, _ = _weighed(bare, grid, one[:1], cut)
-        if share + float(np.logaddexp.reduce(first, axis=1).max()) >= float(logs.max()) - NEGLIGIBLE:
-            without, _ = _weighed(bare, grid, patterns, cut)
-            logs = np.logaddexp(logs, share + np.logaddexp.reduce(without, axis=1))
-    named = {key: float(value) for key, value in zip(keys, logs[1:], strict=True)}
-    best = int(np.argmax(table[int(np.argmax(logs))]))
-    return Weighed(float(logs[0]), named, grid[best])
-
-
-def _weighed(
-    rows: Rows, grid: Sequence[ScatterPoint], patterns: Sequence[Pattern], known: KnownFaults
-) -> tuple[Floats, list[tuple[int, Name]]]:
-    """Return ln (prior · likelihood) (1 + k, g) of each further fault under each of its names.
-
-    The columns are the g points of the grid.
-    Row 0 is for no further fault. The second result are the k pairs of fault index and name that rows 1, 2,
-    … belong to.
-    """
-    m = len(rows.by_error)
-    shifted = [rows.observed(known.error_rad + p.error_rad, p.zero_rad) for p in patterns]
-    residual = np.stack([known.residual(rows), *shifted], axis=1)
+    nothing = replace(known, amplitude=0.0, columns=known.columns[:, :0])
+    every = [nothing, *patterns]
+    residual = [rows.observed(known.error_rad + p.error_rad, p.zero_rad) for p in every]
     # First and second free direction of each pattern, zero without one.
-    first, second = np.zeros((2, m, 1 + len(patterns)))
-    for k, pattern in enumerate(patterns, 1):
-        free = pattern.columns[:m]
-        if free.shape[1] > 0:
-            first[:, k] = free[:, 0]
-        if free.shape[1] > 1:
-            second[:, k] = free[:, 1]
-    twice = second.any(axis=0)
-    keys = [(k, name) for k, pattern in enumerate(patterns) for name in pattern.names]
-    plain = np.empty((1 + len(patterns), len(grid)))
-    moments = np.empty((5, 1 + len(patterns), len(grid)))
-    columns = np.hstack([residual - (rows.design @ rows.prior_mean)[:, None], first, second[:, twice]])
-    w = np.zeros_like(first)
-    for g, white in enumerate(Whitened.at_each(rows, grid, known.columns)):
-        z, v, w[:, twice] = np.split(white.white(columns), [first.shape[1], 2 * first.shape[1]], axis=1)
+    first, second = ([p.columns[:, k : k + 1].sum(axis=1) for p in every] for k in (0, 1))
+    columns = np.stack([*residual, *first, *second], axis=1)
+    columns[:, : len(every)] -= (rows.design @ rows.prior_mean)[:, None]
+    plain = np.empty((len(every), len(grid)))
+    moments = np.empty((5, len(every), len(grid)))
+    for g, scatter in enumerate(grid):
+        white = Whitened.of(rows, scatter, known.columns)
+        z, v, w = np.split(white.white(columns), 3, axis=1)
         plain[:, g] = white.weight(z)
         for k, (a, b) in enumerate(((v, v), (v, z), (w, w), (w, z), (v, w))):
             moments[k, :, g] = (a * b).sum(axis=0)
+    # ln (prior · likelihood) of no further fault and of each fault by name, at each point of the grid.
+    keys = [(k, name) for k, pattern in enumerate(patterns) for name in pattern.names]
     named = [plain[1 + k] + _of_name(patterns[k], name, moments[:, 1 + k]) for k, name in keys]
-    return np.vstack([plain[:1], *named]), keys
+    table = np.vstack([plain[:1], *named])
+    logs = np.logaddexp.reduce(table, axis=1)
+    best = int(np.argmax(table[int(np.argmax(logs))]))
+    return Weighed(float(logs[0]), dict(zip(keys, logs[1:].tolist(), strict=True)), grid[best])
 
 
 def _of_name(pattern: Pattern, name: Name, moments: Floats) -> Floats:

@@ -28,7 +28,6 @@ from adis_gonio.fitting.slips.position_model import (
     ACCUSED,
     BASE,
     Increments,
-    KnownFaults,
     Name,
     Pattern,
     Rows,
@@ -36,6 +35,7 @@ from adis_gonio.fitting.slips.position_model import (
     Weighed,
     Whitened,
     calibrate_by_length,
+    combined,
     patterns_of,
     possible_entries,
     rows_at,
@@ -297,7 +297,7 @@ def search_faults(readings: Readings, turns: Increments) -> FaultSearch | None:
     declared = int(np.isfinite(readings.angle_rad).sum())
     if declared < LEAST - (len(turns.turn) > 0) or len(readings) > LARGEST:
         return None
-    grid = scatters(readings.fixture_rad if readings.fixture_stated else None)
+    grid = scatters(readings.fixture_rad if readings.fixture_stated else None, gyro=len(turns.turn) > 0)
     calibration = calibrate_by_length(readings)
     rows = rows_at(readings, turns, calibration)
     accepted, last = _search(rows, grid)
@@ -326,7 +326,7 @@ def _weigh_others(
     rows: Rows, grid: Sequence[ScatterPoint], accepted: Sequence[Pattern]
 ) -> tuple[list[Pattern], Weighed]:
     """List the faults that are possible in addition to the accepted ones, with their probabilities."""
-    known = KnownFaults.of(rows, accepted)
+    known = combined(rows, accepted)
     taken = {(p.name, p.dwells) for p in accepted}
     patterns = [p for p in patterns_of(rows, known.error_rad) if (p.name, p.dwells) not in taken]
     return patterns, weigh(rows, grid, patterns, known)
@@ -338,9 +338,10 @@ def _posterior(rows: Rows, accepted: Sequence[Pattern], scatter: ScatterPoint) -
     There are p calibration parameters and q sizes of the `accepted` faults; `scatter` are the standard
     deviations of the ordinary errors.
     """
-    known = KnownFaults.of(rows, accepted)
-    (white,) = Whitened.at_each(rows, [scatter], known.columns)
-    z = white.white(known.residual(rows) - rows.design @ rows.prior_mean)
+    known = combined(rows, accepted)
+    white = Whitened.of(rows, scatter, known.columns)
+    residual = rows.observed(known.error_rad, known.zero_rad)
+    z = white.white(residual - rows.design @ rows.prior_mean)
     # Posterior of a linear Gaussian model: prior covariance times design, whitened.
     spread = white.white(white.design * white.prior_sd**2)
     mean = spread.T @ z
@@ -411,8 +412,8 @@ class _Account:
     scatter: ScatterPoint
 
     @cached_property
-    def known(self) -> KnownFaults:
-        return KnownFaults.of(self.rows, self.accepted)
+    def known(self) -> Pattern:
+        return combined(self.rows, self.accepted)
 
     @cached_property
     def posterior(self) -> tuple[Floats, Floats]:
@@ -527,9 +528,11 @@ class _Account:
         """Return the error in degrees of the position with index k, by a turn that the gyro measured.
 
         It is the turn from the position before, or else the turn to the next one. None if both records are
-        incomplete.
+        incomplete, or if the gyro is useless.
         """
         rows = self.rows
+        if self.scatter.gyro_rad:
+            return None
         for dwell, sign in ((k, 1.0), (k + 1, -1.0)):
             found = np.flatnonzero(rows.turn == dwell)
             if not found.size:
