@@ -16,6 +16,7 @@ from adis_gonio.base import __version__
 from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.base.numbers import format_fixed, format_number, with_unit
 from adis_gonio.base.uncertainty import Value
+from adis_gonio.bench.bringup import link_steps, part_steps, update_steps
 from adis_gonio.bench.bringup.bringup_step import (
     QUESTIONS,
     Answer,
@@ -29,38 +30,39 @@ from adis_gonio.bench.bringup.bringup_step import (
     StepResult,
     Verdict,
 )
-from adis_gonio.bench.bringup.link_steps import BitErrors, Health, Link, Timing, WhichPart
-from adis_gonio.bench.bringup.part_steps import (
-    FilterSteps,
-    FlashCount,
-    Noise,
-    Offset,
-    SelfTests,
-    StatusBits,
-)
-from adis_gonio.bench.bringup.update_steps import DataReady, Rate, SamplePeriods
 from adis_gonio.device.bus import SpiBus
 from adis_gonio.device.sensor.driver import Adis16354, Undo
 from adis_gonio.device.sensor.registers import NORMAL, Variant, registers, variant as find_variant
 from adis_gonio.page.document import Section, Table, render
 from adis_gonio.record.source import HOLDING_SETTINGS
 
-STEPS: tuple[BringupStep, ...] = (
-    Link(),
-    Timing(),
-    BitErrors(),
-    Health(),
-    WhichPart(),
-    Rate(),
-    DataReady(),
-    Noise(),
-    Offset(),
-    SamplePeriods(),
-    FilterSteps(),
-    SelfTests(),
-    StatusBits(),
-    FlashCount(),
+# fmt: off
+STEPS = (
+    BringupStep("link", link_steps.check_link),
+    BringupStep("timing", link_steps.check_timing),
+    BringupStep("bit errors", link_steps.count_bit_errors),
+    BringupStep("supply", link_steps.check_supply),
+    BringupStep("variant", link_steps.identify_variant),
+    BringupStep("sample rate", update_steps.measure_rate),
+    BringupStep("data-ready", update_steps.check_data_ready, SideEffect.LENDS, "", ("data_ready_edge",)),
+    BringupStep("noise", part_steps.measure_noise, SideEffect.LENDS, "", ("accel_noise", "gyro_noise")),
+    BringupStep("offset", part_steps.measure_offsets, SideEffect.WRITES,
+                "Write XACCL_OFF, YACCL_OFF and ZACCL_OFF (+1000 LSB for a second)?",
+                ("accel_offset_lsb", "offset_after_filter")),
+    BringupStep("sample periods", update_steps.measure_periods, SideEffect.WRITES,
+                "Write SMPL_PRD (eight values, about 10 s)?", ("sample_period",)),
+    BringupStep("filter steps", part_steps.measure_filter, SideEffect.WRITES,
+                "Write SENS_AVG (filter M = 0 … 6, about 20 s)?", ("filter_gain",)),
+    BringupStep("self-test", part_steps.run_self_tests, SideEffect.WRITES,
+                "Run the self-tests (MSC_CTRL[10:8], about 3 s, volatile)?",
+                ("self_test_gyro", "self_test_accel")),
+    BringupStep("status", part_steps.check_status, SideEffect.WRITES,
+                "Write ALM_MAG1, ALM_CTRL and an accelerometer's offset (a second each)?",
+                ("alarm_stays", "over_range_falls")),
+    BringupStep("flash count", part_steps.check_flash_count, SideEffect.FLASH,
+                "Reset the part and write the flash once (10 000 writes are its life)?", ("flash_count",)),
 )
+# fmt: on
 """Steps in order: steps that only read, steps that enable data-ready, steps that write, the flash last."""
 
 
@@ -139,13 +141,13 @@ class _Run:
             except AdisGonioError as error:
                 failure = str(error)
         for step in steps:
-            result = new_result(step).not_measured("stopped by the operator")
+            result = step.new_result("stopped by the operator")
             with self._until_stopped():
                 if self.bench is not None and not found.stopped:
                     result = self._one(self.bench, step)
                 elif failure:
-                    result = new_result(step).not_measured("the link does not work")
-                    result = result if found.rows else new_result(step).fault(failure)
+                    result = step.new_result("the link does not work")
+                    result = result if found.rows else step.new_result().fault(failure)
             with self._until_stopped():
                 found.rows.append(result)
                 default = Answer(Outcome.NOT_MEASURED, result.text)
@@ -169,17 +171,17 @@ class _Run:
     def _one(self, bench: BringupBench, step: BringupStep) -> StepResult:
         refusal = bench.blocked or self._refusal(step)
         if refusal:
-            return new_result(step).not_measured(refusal)
+            return step.new_result(refusal)
         if step.effect in (SideEffect.WRITES, SideEffect.FLASH) and not self.permission.ask(step.question):
-            return new_result(step).not_measured("the answer to its question was no")
+            return step.new_result("the answer to its question was no")
         changes, found = step.effect is not SideEffect.READS, self.found
         try:
             if changes and found.undo is None:
                 found.undo = Undo(bench.sensor, registers(HOLDING_SETTINGS))
             bench.bus.calls.clear()
-            return step.run(bench, new_result(step))
+            return step.run(bench, step.new_result())
         except AdisGonioError as error:
-            return new_result(step).fault(f"could not be done: {error}")
+            return step.new_result().fault(f"could not be done: {error}")
         finally:
             if changes and found.undo is not None:
                 try:
@@ -194,11 +196,6 @@ class _Run:
         if step.effect is SideEffect.FLASH and not (self.permission.writes and self.permission.flash):
             return "it writes the flash once; --allow-writes --flash permits that"
         return ""
-
-
-def new_result(step: BringupStep) -> StepResult:
-    """Return an empty result of a step."""
-    return StepResult(step.name, step.does, step.effect)
 
 
 def _bridge(bus: BringupBus) -> dict[str, Any]:
@@ -271,7 +268,7 @@ def _detail(row: StepResult) -> Section:
     table = Table(("figure", "value", "expected"), rows, numeric=(1, 2))
     return Section(
         row.name,
-        words=(f"{row.does[0].upper()}{row.does[1:]} ({row.effect}).",),
+        words=(f"{row.does} ({row.effect}).",),
         tables=(table,) if rows else (),
     )
 

@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import math
 import re
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import pairwise
@@ -443,15 +442,18 @@ class SideEffect(StrEnum):
     FLASH = "flash write"
 
 
-class BringupStep(ABC):
+@dataclass(frozen=True)
+class BringupStep:
     """One test of a bring-up, such as the link or the noise.
 
     Attributes
     ----------
     name : str
         Name of the step.
-    does : str
-        Description of the step in one line.
+    run : callable
+        Runs the step, fills the given result and returns it; the `BringupBench` has the sensor and earlier
+        findings. The first line of its docstring describes the step in the report. Raises
+        `AdisGonioError` if the sensor or the bridge fails.
     effect : SideEffect
         Kind of change that the step makes to the sensor.
     question : str
@@ -461,17 +463,15 @@ class BringupStep(ABC):
     """
 
     name: str
-    does: str
+    run: Callable[[BringupBench, StepResult], StepResult]
     effect: SideEffect = SideEffect.READS
     question: str = ""
     settles: tuple[str, ...] = ()
 
-    @abstractmethod
-    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
-        """Run the step, fill the result `found` and return it; `bench` has the sensor and earlier findings.
-
-        Raises `AdisGonioError` if the sensor or the bridge fails.
-        """
+    def new_result(self, why: str = "") -> StepResult:
+        """Return the result of the step before it runs; `why` is the reason if it does not run."""
+        does = str(self.run.__doc__).partition("\n")[0].removesuffix(".")
+        return StepResult(self.name, does, self.effect, text=why)
 
 
 @dataclass

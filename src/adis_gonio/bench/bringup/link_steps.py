@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.bench.bringup.bringup_step import BOARD_CLOCK_U, BringupBench, BringupStep, StepResult, Z
+from adis_gonio.bench.bringup.bringup_step import BOARD_CLOCK_U, BringupBench, StepResult, Z
 from adis_gonio.device.bus import SpiTiming, Words
 from adis_gonio.device.sensor.driver import PLAUSIBLE
 from adis_gonio.device.sensor.registers import (
@@ -76,40 +76,37 @@ _READINGS: tuple[tuple[str, Callable[[int], int]], ...] = (
 )
 
 
-class Link(BringupStep):
-    """Checks that a chip answers and that its replies are read correctly."""
+def check_link(bench: BringupBench, found: StepResult) -> StepResult:
+    """Read the control registers three times: silence, a stuck, inverted or shifted data line.
 
-    name = "link"
-    does = "reads the control registers three times: silence, a stuck, inverted or shifted data line"
-
-    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
-        """Read the control registers, and test if a known wiring error explains the replies."""
-        frames = np.append(np.tile(read_frames(_CONSTANT), _PASSES), np.uint16(IDLE))
-        words = bench.bus.exchange_array(frames)[1:].reshape(_PASSES, -1)
-        first = [int(word) for word in words[0]]
-        found.measure("control registers read", len(first), expected=len(_CONSTANT))
-        problem = _unreadable(words)
-        if not problem:
-            scores = [
-                sum(legal(row, way(word)) for row, word in zip(_CONSTANT, first, strict=True))
-                for _, way in _READINGS
-            ]
-            found.measure("of them with legal content", scores[0], expected=len(_CONSTANT))
-            if max(scores) > scores[0]:
-                problem = _READINGS[scores.index(max(scores))][0]
-            elif 2 * scores[0] < len(first):
-                problem = "the words make no sense in any reading: check the wires of DIN, DOUT and CS"
-        if problem:
-            bench.blocked = "the link does not work"
-            return found.fault(problem)
-        bench.constants = dict(zip((row.name for row in _CONSTANT), first, strict=True))
-        wrong = [row.name for row, word in zip(_CONSTANT, first, strict=True) if not legal(row, word)]
-        if wrong:
-            return found.differs(
-                f"registers answer, but with bits that they should not have: {', '.join(wrong)}"
-            )
-        names = ", ".join(sorted(bench.bus.capabilities)) or "none"
-        return found.ok(f"the registers answer with legal content; capabilities of the bridge: {names}")
+    Tests also if a known wiring error explains the replies.
+    """
+    frames = np.append(np.tile(read_frames(_CONSTANT), _PASSES), np.uint16(IDLE))
+    words = bench.bus.exchange_array(frames)[1:].reshape(_PASSES, -1)
+    first = [int(word) for word in words[0]]
+    found.measure("control registers read", len(first), expected=len(_CONSTANT))
+    problem = _unreadable(words)
+    if not problem:
+        scores = [
+            sum(legal(row, way(word)) for row, word in zip(_CONSTANT, first, strict=True))
+            for _, way in _READINGS
+        ]
+        found.measure("of them with legal content", scores[0], expected=len(_CONSTANT))
+        if max(scores) > scores[0]:
+            problem = _READINGS[scores.index(max(scores))][0]
+        elif 2 * scores[0] < len(first):
+            problem = "the words make no sense in any reading: check the wires of DIN, DOUT and CS"
+    if problem:
+        bench.blocked = "the link does not work"
+        return found.fault(problem)
+    bench.constants = dict(zip((row.name for row in _CONSTANT), first, strict=True))
+    wrong = [row.name for row, word in zip(_CONSTANT, first, strict=True) if not legal(row, word)]
+    if wrong:
+        return found.differs(
+            f"registers answer, but with bits that they should not have: {', '.join(wrong)}"
+        )
+    names = ", ".join(sorted(bench.bus.capabilities)) or "none"
+    return found.ok(f"the registers answer with legal content; capabilities of the bridge: {names}")
 
 
 def _unreadable(words: Words) -> str:
@@ -128,40 +125,40 @@ def _unreadable(words: Words) -> str:
     return ""
 
 
-class Timing(BringupStep):
-    """Compares SPI clock, stall and period of the bridge with the sensor's limits, and times a frame."""
+_TIMED_FRAMES = 500
 
-    name = "timing"
-    does = "asks the bridge for both modes' timing and times 500 frames"
-    _frames = 500
 
-    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
-        """Compare the timing that the bridge reports, and the measured time of a frame, with the limits."""
-        wrong: list[str] = []
-        for mode, asked in (("fast", FAST), ("normal", NORMAL)):
-            got = bench.bus.inner.configure(asked)
-            found.measure(f"{mode}: clock", got.clock_hz, "Hz", expected=asked.clock_hz)
-            found.measure(f"{mode}: stall", got.stall_us, "us", expected=asked.stall_us)
-            found.measure(f"{mode}: period", got.period_us, "us", expected=asked.period_us)
-            if got.clock_hz > asked.clock_hz:
-                wrong.append(f"clocks at {got.clock_hz:g} Hz where at most {asked.clock_hz:g} was asked")
-            if got.stall_us < asked.stall_us or got.period_us < asked.period_us:
-                wrong.append(f"stall {got.stall_us:g} and period {got.period_us:g} µs in {mode} mode")
-        bench.bus.configure(NORMAL)
-        begin_s = bench.bus.now_s()
-        bench.bus.exchange_array(np.full(self._frames, IDLE, np.uint16))
-        frame_us = 1e6 * (bench.bus.now_s() - begin_s) / self._frames
-        found.measure("normal: a frame took", frame_us, "us", expected=NORMAL.period_us)
-        wrong += _too_quick(frame_us, bench.bus.timing)
-        if wrong:
-            bench.blocked = "the bridge breaks the part's limits"
-            return found.fault(f"the bridge breaks the part's limits: {'; '.join(wrong)}")
-        value = [figure.value for figure in found.figures]
-        return found.ok(
-            f"the bridge reports {value[0] / 1e3:g} kHz and {value[1]:g} µs of stall in fast mode,"
-            f" {value[3] / 1e3:g} kHz and {value[4]:g} µs in normal mode, where a frame takes"
-            f" {frame_us:.0f} µs"
-        )
+def check_timing(bench: BringupBench, found: StepResult) -> StepResult:
+    """Ask the bridge for the timing of both modes and time 500 frames.
+
+    Clock, stall and period that the bridge reports, and the measured time of a frame, are compared with the
+    limits of the sensor.
+    """
+    wrong: list[str] = []
+    for mode, asked in (("fast", FAST), ("normal", NORMAL)):
+        got = bench.bus.inner.configure(asked)
+        found.measure(f"{mode}: clock", got.clock_hz, "Hz", expected=asked.clock_hz)
+        found.measure(f"{mode}: stall", got.stall_us, "us", expected=asked.stall_us)
+        found.measure(f"{mode}: period", got.period_us, "us", expected=asked.period_us)
+        if got.clock_hz > asked.clock_hz:
+            wrong.append(f"clocks at {got.clock_hz:g} Hz where at most {asked.clock_hz:g} was asked")
+        if got.stall_us < asked.stall_us or got.period_us < asked.period_us:
+            wrong.append(f"stall {got.stall_us:g} and period {got.period_us:g} µs in {mode} mode")
+    bench.bus.configure(NORMAL)
+    begin_s = bench.bus.now_s()
+    bench.bus.exchange_array(np.full(_TIMED_FRAMES, IDLE, np.uint16))
+    frame_us = 1e6 * (bench.bus.now_s() - begin_s) / _TIMED_FRAMES
+    found.measure("normal: a frame took", frame_us, "us", expected=NORMAL.period_us)
+    wrong += _too_quick(frame_us, bench.bus.timing)
+    if wrong:
+        bench.blocked = "the bridge breaks the part's limits"
+        return found.fault(f"the bridge breaks the part's limits: {'; '.join(wrong)}")
+    value = [figure.value for figure in found.figures]
+    return found.ok(
+        f"the bridge reports {value[0] / 1e3:g} kHz and {value[1]:g} µs of stall in fast mode,"
+        f" {value[3] / 1e3:g} kHz and {value[4]:g} µs in normal mode, where a frame takes"
+        f" {frame_us:.0f} µs"
+    )
 
 
 def _too_quick(frame_us: float, timing: SpiTiming) -> list[str]:
@@ -176,66 +173,61 @@ def _too_quick(frame_us: float, timing: SpiTiming) -> list[str]:
     return []
 
 
-class BitErrors(BringupStep):
-    """Reads constant registers at every SPI clock, slowest first; ends at the first clock with errors.
+def count_bit_errors(bench: BringupBench, found: StepResult) -> StepResult:
+    """Read constant registers 1000 times at each clock of the bridge, slowest first.
 
-    A flipped bit may turn a read into a write, so no clock above a clock with errors is tried. A link is
+    Ends at the first clock with errors, and limits later steps to the fastest clock without errors. A
+    flipped bit may turn a read into a write, so no clock above a clock with errors is tried. A link is
     good if its error rate is below 1e-10 per bit: then about one board in 100 000 shows an error.
     """
-
-    name = "bit errors"
-    does = "1000 reads of constant registers at each clock of the bridge, slowest first"
-
-    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
-        """Read the registers at each clock, and limit later steps to the fastest clock without errors."""
-        smpl_prd = bench.constants["SMPL_PRD"] & 0xFF
-        # The highest clock of each mode is by the data sheet (A).
-        fastest_hz, limit = (2e6, FAST) if smpl_prd <= FAST_UP_TO else (300e3, NORMAL)
-        clocks = _offered(bench, fastest_hz, limit)
-        bench.bus.inner.configure(dataclasses.replace(limit, clock_hz=clocks[0]))
-        expected = np.empty(0, np.uint16)
-        wrong_words: list[int] = []
-        reads = 0
-        quick: list[str] = []
-        for clock in clocks:
-            timing = bench.bus.inner.configure(dataclasses.replace(limit, clock_hz=clock))
-            words, frame_us = _read_constants(bench)
-            if not wrong_words:  # the majority at the slowest clock is the truth
-                expected = _majority(words)
-            wrong_words.append(int(np.count_nonzero(words != expected)))
-            reads = words.size
-            quick += _too_quick(frame_us, timing)
-            if wrong_words[-1]:
-                break
-        tried, bad = clocks[: len(wrong_words)], wrong_words[-1]
-        clean = tried[:-1] if bad else tried
-        bench.bus.inner.configure(dataclasses.replace(limit, clock_hz=clocks[0]))
-        changed: list[str] = []
-        if bad and clean:
-            now = _majority(_read_constants(bench)[0])
-            changed = [row.name for row, a, b in zip(_CONSTANT, expected, now, strict=True) if a != b]
-        bench.bus.ceiling_hz = max(clean, default=clocks[0])
-        bench.refresh()
-        total = reads * len(tried)
-        for clock, count in zip(tried, wrong_words, strict=True):
-            found.measure(f"wrong of {reads} at {clock / 1e3:g} kHz", count, expected=0)
-        if quick:
-            bench.blocked = "the bridge breaks the part's limits"
-            return found.fault(quick[0])
-        if not bad:
-            return found.ok(
-                f"no error in {total} words at {len(tried)} clocks from {clocks[0] / 1e3:g} to"
-                f" {clocks[-1] / 1e3:g} kHz"
-            )
-        text = f"{bad} of {reads} words are wrong at {tried[-1] / 1e3:g} kHz"
-        if not clean:
-            bench.blocked = "words are wrong at the slowest clock"
-            text += ", the slowest: shorten the wires, check supply and ground"
-        else:
-            text += f", none up to {clean[-1] / 1e3:g} kHz: shorten the wires; later steps were no faster"
-        if changed:
-            text += f"; a read became a write: {', '.join(changed)} changed"
-        return found.fault(text)
+    smpl_prd = bench.constants["SMPL_PRD"] & 0xFF
+    # The highest clock of each mode is by the data sheet (A).
+    fastest_hz, limit = (2e6, FAST) if smpl_prd <= FAST_UP_TO else (300e3, NORMAL)
+    clocks = _offered(bench, fastest_hz, limit)
+    bench.bus.inner.configure(dataclasses.replace(limit, clock_hz=clocks[0]))
+    expected = np.empty(0, np.uint16)
+    wrong_words: list[int] = []
+    reads = 0
+    quick: list[str] = []
+    for clock in clocks:
+        timing = bench.bus.inner.configure(dataclasses.replace(limit, clock_hz=clock))
+        words, frame_us = _read_constants(bench)
+        if not wrong_words:  # the majority at the slowest clock is the truth
+            expected = _majority(words)
+        wrong_words.append(int(np.count_nonzero(words != expected)))
+        reads = words.size
+        quick += _too_quick(frame_us, timing)
+        if wrong_words[-1]:
+            break
+    tried, bad = clocks[: len(wrong_words)], wrong_words[-1]
+    clean = tried[:-1] if bad else tried
+    bench.bus.inner.configure(dataclasses.replace(limit, clock_hz=clocks[0]))
+    changed: list[str] = []
+    if bad and clean:
+        now = _majority(_read_constants(bench)[0])
+        changed = [row.name for row, a, b in zip(_CONSTANT, expected, now, strict=True) if a != b]
+    bench.bus.ceiling_hz = max(clean, default=clocks[0])
+    bench.refresh()
+    total = reads * len(tried)
+    for clock, count in zip(tried, wrong_words, strict=True):
+        found.measure(f"wrong of {reads} at {clock / 1e3:g} kHz", count, expected=0)
+    if quick:
+        bench.blocked = "the bridge breaks the part's limits"
+        return found.fault(quick[0])
+    if not bad:
+        return found.ok(
+            f"no error in {total} words at {len(tried)} clocks from {clocks[0] / 1e3:g} to"
+            f" {clocks[-1] / 1e3:g} kHz"
+        )
+    text = f"{bad} of {reads} words are wrong at {tried[-1] / 1e3:g} kHz"
+    if not clean:
+        bench.blocked = "words are wrong at the slowest clock"
+        text += ", the slowest: shorten the wires, check supply and ground"
+    else:
+        text += f", none up to {clean[-1] / 1e3:g} kHz: shorten the wires; later steps were no faster"
+    if changed:
+        text += f"; a read became a write: {', '.join(changed)} changed"
+    return found.fault(text)
 
 
 def _offered(bench: BringupBench, most_hz: float, limit: SpiTiming) -> list[float]:
@@ -280,97 +272,85 @@ TEMPERATURE_C = (-40.0, 85.0)
 _SCANS = 256
 
 
-class Health(BringupStep):
-    """Checks the supply voltage, the temperatures and the register STATUS."""
+def check_supply(bench: BringupBench, found: StepResult) -> StepResult:
+    """Read supply and temperatures 256 times; read STATUS twice (a read clears it).
 
-    name = "supply"
-    does = f"{_SCANS} readings of supply and temperatures; STATUS, read twice (a read clears it)"
-
-    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
-        """Compare supply and temperatures with the limits of operation, and check that STATUS is clear."""
-        first = bench.sensor.read("STATUS")
-        bench.wait_updates()
-        standing = Status(bench.sensor.read("STATUS"))
-        names = ("SUPPLY_OUT", *TEMP_OUT)
-        block, _ = bench.scans(_SCANS, names)
-        lsb, _, _ = scales(registers(names), bench.sensor.variant, 300)
-        value, u = mean_at_rest(block.values(), lsb, bench.sensor.configuration().filter_m)
-        found.measure("supply", value[0], "V", u[0], 5.0)
-        for axis, t, s in zip("xyz", value[1:], u[1:], strict=True):
-            found.measure(f"temperature {axis}", t, "degC", s)
-        found.measure("STATUS at first", first)
-        found.measure("STATUS read again", standing.word, expected=0)
-        wrong = []
-        low, high = SUPPLY_LIMITS_V
-        if not low - Z * u[0] <= value[0] <= high + Z * u[0]:
-            bench.supply_ok = False
-            wrong.append(f"the supply is {value[0]:.3f} V, the part needs {low} to {high} V")
-        for axis, t, s in zip("XYZ", value[1:], u[1:], strict=True):
-            if not TEMPERATURE_C[0] - Z * s <= t <= TEMPERATURE_C[1] + Z * s:
-                wrong.append(f"{axis}TEMP_OUT says {t:.0f} °C")
-        if standing.word:
-            wrong.append(f"STATUS: {standing}")
-        if standing.flags["supply_low"] or standing.flags["supply_high"]:
-            bench.supply_ok = False
-        if wrong:
-            return found.fault("; ".join(wrong))
-        warmth = ", ".join(f"{t:.1f}" for t in value[1:])
-        return found.ok(f"supply {value[0]:.3f} V, temperatures {warmth} °C, STATUS clear")
-
-
-class WhichPart(BringupStep):
-    """Identifies the sensor variant by |a|, the magnitude of the accelerations at rest.
-
-    No other property differs between the variants.
+    Supply and temperatures are compared with the limits of operation, and STATUS has to be clear.
     """
+    first = bench.sensor.read("STATUS")
+    bench.wait_updates()
+    standing = Status(bench.sensor.read("STATUS"))
+    names = ("SUPPLY_OUT", *TEMP_OUT)
+    block, _ = bench.scans(_SCANS, names)
+    lsb, _, _ = scales(registers(names), bench.sensor.variant, 300)
+    value, u = mean_at_rest(block.values(), lsb, bench.sensor.configuration().filter_m)
+    found.measure("supply", value[0], "V", u[0], 5.0)
+    for axis, t, s in zip("xyz", value[1:], u[1:], strict=True):
+        found.measure(f"temperature {axis}", t, "degC", s)
+    found.measure("STATUS at first", first)
+    found.measure("STATUS read again", standing.word, expected=0)
+    wrong = []
+    low, high = SUPPLY_LIMITS_V
+    if not low - Z * u[0] <= value[0] <= high + Z * u[0]:
+        bench.supply_ok = False
+        wrong.append(f"the supply is {value[0]:.3f} V, the part needs {low} to {high} V")
+    for axis, t, s in zip("XYZ", value[1:], u[1:], strict=True):
+        if not TEMPERATURE_C[0] - Z * s <= t <= TEMPERATURE_C[1] + Z * s:
+            wrong.append(f"{axis}TEMP_OUT says {t:.0f} °C")
+    if standing.word:
+        wrong.append(f"STATUS: {standing}")
+    if standing.flags["supply_low"] or standing.flags["supply_high"]:
+        bench.supply_ok = False
+    if wrong:
+        return found.fault("; ".join(wrong))
+    warmth = ", ".join(f"{t:.1f}" for t in value[1:])
+    return found.ok(f"supply {value[0]:.3f} V, temperatures {warmth} °C, STATUS clear")
 
-    name = "variant"
-    does = (
-        f"|a| at rest over {_SCANS} scans, less the offset registers: 2140 LSB on the ADIS16354, 397 on the"
-        " ADIS16350/55"
+
+def identify_variant(bench: BringupBench, found: StepResult) -> StepResult:
+    """Measure |a| at rest, less the offsets: 2140 LSB on the ADIS16354, 397 on the ADIS16350/55.
+
+    No property but |a| at 1 g differs between the variants.
+    """
+    block, _ = bench.scans(_SCANS, ACCEL_OUT)
+    numbers = block.numbers().astype(np.float64)
+    mean, u = mean_at_rest(numbers, 1.0, bench.sensor.configuration().filter_m)
+    # The bias in the table is that of the part alone, without the offset registers.
+    offsets = [row.number(bench.constants[row.name]) for row in registers(ACCEL_OFF)]
+    mean = mean - offsets
+    norm = float(np.linalg.norm(mean))
+    u_norm = float(np.sqrt((mean * u) @ (mean * u))) / max(norm, 1e-9)
+    asked = bench.sensor.variant
+    warm = bench.sensor.quantity("XTEMP_OUT").value - 25.0
+    # Of all good sensors of the variant at all places on Earth, relative to 1 g.
+    figures = asked.performance
+    parts = (
+        figures.initial_bias_mg / 1000,
+        figures.scale_error_typical,
+        figures.bias_tempco_mg_per_c * warm / 1000,
+        0.0026 / np.sqrt(3),  # local gravity is within 0.26 % of the standard value
+        u_norm * asked.accel_mg_per_lsb / 1000,
     )
-
-    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
-        """Compare |a| in LSB with the value that each variant has at 1 g."""
-        block, _ = bench.scans(_SCANS, ACCEL_OUT)
-        numbers = block.numbers().astype(np.float64)
-        mean, u = mean_at_rest(numbers, 1.0, bench.sensor.configuration().filter_m)
-        # The bias in the table is that of the part alone, without the offset registers.
-        offsets = [row.number(bench.constants[row.name]) for row in registers(ACCEL_OFF)]
-        mean = mean - offsets
-        norm = float(np.linalg.norm(mean))
-        u_norm = float(np.sqrt((mean * u) @ (mean * u))) / max(norm, 1e-9)
-        asked = bench.sensor.variant
-        warm = bench.sensor.quantity("XTEMP_OUT").value - 25.0
-        # Of all good sensors of the variant at all places on Earth, relative to 1 g.
-        figures = asked.performance
-        parts = (
-            figures.initial_bias_mg / 1000,
-            figures.scale_error_typical,
-            figures.bias_tempco_mg_per_c * warm / 1000,
-            0.0026 / np.sqrt(3),  # local gravity is within 0.26 % of the standard value
-            u_norm * asked.accel_mg_per_lsb / 1000,
+    tolerance = float(np.linalg.norm(parts))
+    off = norm / asked.one_g_lsb - 1
+    found.measure("|a|", norm, "LSB", u_norm, asked.one_g_lsb)
+    for name, m, s in zip(ACCEL_OUT, mean, u, strict=True):
+        found.measure(f"mean of {name}, less its offset", m, "LSB", s)
+    found.measure("tolerance of |a| (1 sigma)", tolerance * asked.one_g_lsb, "LSB")
+    nearest = min(VARIANTS.values(), key=lambda v: abs(np.log(max(norm, 1e-9) / v.one_g_lsb)))
+    fits = [v for v in VARIANTS.values() if abs(norm / v.one_g_lsb - 1) <= PLAUSIBLE]
+    if nearest.one_g_lsb != asked.one_g_lsb and fits:
+        names = " or ".join(v.name.upper() for v in fits)
+        bench.sensor.variant = fits[0]
+        return found.fault(
+            f"|a| is {norm:.0f} LSB: this is an {names}, not an {asked.name.upper()}"
+            f" ({asked.one_g_lsb:.0f} LSB); the rest is judged as for an {fits[0].name.upper()}"
         )
-        tolerance = float(np.linalg.norm(parts))
-        off = norm / asked.one_g_lsb - 1
-        found.measure("|a|", norm, "LSB", u_norm, asked.one_g_lsb)
-        for name, m, s in zip(ACCEL_OUT, mean, u, strict=True):
-            found.measure(f"mean of {name}, less its offset", m, "LSB", s)
-        found.measure("tolerance of |a| (1 sigma)", tolerance * asked.one_g_lsb, "LSB")
-        nearest = min(VARIANTS.values(), key=lambda v: abs(np.log(max(norm, 1e-9) / v.one_g_lsb)))
-        fits = [v for v in VARIANTS.values() if abs(norm / v.one_g_lsb - 1) <= PLAUSIBLE]
-        if nearest.one_g_lsb != asked.one_g_lsb and fits:
-            names = " or ".join(v.name.upper() for v in fits)
-            bench.sensor.variant = fits[0]
-            return found.fault(
-                f"|a| is {norm:.0f} LSB: this is an {names}, not an {asked.name.upper()}"
-                f" ({asked.one_g_lsb:.0f} LSB); the rest is judged as for an {fits[0].name.upper()}"
-            )
-        if not fits:
-            return found.fault(f"|a| is {norm / asked.one_g_lsb:.2f} g: no known part; was it still?")
-        if abs(off) > Z * tolerance:
-            return found.differs(
-                f"|a| is {1000 * norm / asked.one_g_lsb:.0f} mg, further from 1 g than the table's bias and"
-                " gain allow"
-            )
-        return found.ok(f"|a| is {norm:.0f} LSB, {1 + off:.3f} g of an {asked.name.upper()}")
+    if not fits:
+        return found.fault(f"|a| is {norm / asked.one_g_lsb:.2f} g: no known part; was it still?")
+    if abs(off) > Z * tolerance:
+        return found.differs(
+            f"|a| is {1000 * norm / asked.one_g_lsb:.0f} mg, further from 1 g than the table's bias and"
+            " gain allow"
+        )
+    return found.ok(f"|a| is {norm:.0f} LSB, {1 + off:.3f} g of an {asked.name.upper()}")

@@ -15,8 +15,6 @@ from adis_gonio.bench.bringup.bringup_step import (
     BOARD_CLOCK_U,
     HOST_CLOCK_U,
     BringupBench,
-    BringupStep,
-    SideEffect,
     StepResult,
     Z,
 )
@@ -94,35 +92,32 @@ def nearest_code(period_s: float) -> int:
     return min(range(1, 256), key=lambda n: abs(math.log(period_s / sample_period_s(n))))
 
 
-class Rate(BringupStep):
-    """Compares the rate of new samples, by their new-data flag ND, with the setting SMPL_PRD."""
+def measure_rate(bench: BringupBench, found: StepResult) -> StepResult:
+    """Count new-data flags (ND) of one register that is read without a pause.
 
-    name = "sample rate"
-    does = "counts new-data flags (ND) of one register that is read without a pause"
-
-    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
-        """Measure the period of the updates and compare it with the nominal period of SMPL_PRD."""
-        configuration = bench.sensor.configuration()
-        expected = configuration.sample_period_s
-        period = measured_period(bench, expected, max(8, min(512, round(2.0 / expected))))
-        if isinstance(period, str):
-            return found.not_measured(period)
-        rate = 1 / period.value_s
-        found.measure("sample rate", rate, "Hz", rate * period.u_s / period.value_s, 1 / expected)
-        found.measure("period", 1e6 * period.value_s, "us", 1e6 * period.u_s, 1e6 * expected)
-        bench.clock = period.value_s / expected
-        off = abs(period.value_s - expected)
-        if off <= Z * period.u_s:
-            return found.ok(f"{rate:.2f} updates a second, as SMPL_PRD says")
-        code = nearest_code(period.value_s)
-        if sample_period_s(code) != expected:
-            return found.fault(
-                f"{rate:.2f} updates a second, SMPL_PRD says {1 / expected:.2f}; that would be"
-                f" SMPL_PRD = 0x{code:02X}"
-            )
-        return found.differs(
-            f"{rate:.2f} updates a second, {signed(100 * (rate * expected - 1), 2)} % from the nominal rate"
+    The period of the updates is compared with the nominal period of SMPL_PRD.
+    """
+    configuration = bench.sensor.configuration()
+    expected = configuration.sample_period_s
+    period = measured_period(bench, expected, max(8, min(512, round(2.0 / expected))))
+    if isinstance(period, str):
+        return found.not_measured(period)
+    rate = 1 / period.value_s
+    found.measure("sample rate", rate, "Hz", rate * period.u_s / period.value_s, 1 / expected)
+    found.measure("period", 1e6 * period.value_s, "us", 1e6 * period.u_s, 1e6 * expected)
+    bench.clock = period.value_s / expected
+    off = abs(period.value_s - expected)
+    if off <= Z * period.u_s:
+        return found.ok(f"{rate:.2f} updates a second, as SMPL_PRD says")
+    code = nearest_code(period.value_s)
+    if sample_period_s(code) != expected:
+        return found.fault(
+            f"{rate:.2f} updates a second, SMPL_PRD says {1 / expected:.2f}; that would be"
+            f" SMPL_PRD = 0x{code:02X}"
         )
+    return found.differs(
+        f"{rate:.2f} updates a second, {signed(100 * (rate * expected - 1), 2)} % from the nominal rate"
+    )
 
 
 @dataclass(frozen=True)
@@ -183,152 +178,155 @@ class _Edges:
         return float(np.mean(near & (self.position >= 0)))
 
 
-class DataReady(BringupStep):
-    """Tests the data-ready line: rate, leading edge, jitter, missed edges."""
+_EDGE_SCANS = 256
 
-    name = "data-ready"
-    does = "enables data-ready, counts edges, starts scans at both edges of the pulse and finds the ND"
-    effect = SideEffect.LENDS
-    settles = ("data_ready_edge",)
-    _scans = 256
 
-    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
-        """Test both polarities if the bridge starts scans at edges; only count edges if it cannot."""
-        capabilities = bench.bus.capabilities
-        streams, counts = (one in capabilities for one in (Capability.STREAM, Capability.EVENT_COUNTER))
-        if not (streams or counts):
-            return found.not_measured(
-                "this bridge has no data-ready input (neither streams nor an event counter)"
+def check_data_ready(bench: BringupBench, found: StepResult) -> StepResult:
+    """Enable data-ready, count edges, start scans at both edges of the pulse and find the ND.
+
+    A bridge that cannot start scans at edges only counts them.
+    """
+    capabilities = bench.bus.capabilities
+    streams, counts = (one in capabilities for one in (Capability.STREAM, Capability.EVENT_COUNTER))
+    if not (streams or counts):
+        return found.not_measured(
+            "this bridge has no data-ready input (neither streams nor an event counter)"
+        )
+    configuration = bench.sensor.configuration()
+    period = configuration.sample_period_s * bench.clock
+    before = bench.sensor.read(_MISC)
+    try:
+        if counts:
+            _enable_data_ready(bench, before, first=True)
+            expected, edges = _count_edges(bench, period)
+            found.measure("edges counted", edges, expected=expected)
+            # Two edges may lie on either side of the span; the bridge's clock is off by so much.
+            slack = 2 + Z * BOARD_CLOCK_U * expected
+            if edges == 0:
+                return found.not_measured(_NO_EDGE)
+            if abs(edges - expected) > slack:
+                return found.fault(_describe_rate(edges, expected, period))
+            bench.data_ready = True
+        if not streams:
+            return found.ok(
+                f"{edges} edges where {expected:.0f} updates were expected; which edge leads: not"
+                " measured, this bridge starts no scans at the edge"
             )
-        configuration = bench.sensor.configuration()
-        period = configuration.sample_period_s * bench.clock
-        before = bench.sensor.read(_MISC)
+        bench.data_ready = False
+        _enable_data_ready(bench, before, first=True)
+        first = _scan_at_edges(bench, period)
+        _enable_data_ready(bench, before, first=False)
+        second = None if first is None else _scan_at_edges(bench, period)
+    except UsageError as error:
+        return found.not_measured(f"this bridge takes no list of {_READS} reads at an edge ({error})")
+    finally:
+        _write_misc(bench, before)
+        bench.refresh()
+    if first is None or second is None:
+        return found.not_measured(_NO_EDGE)
+    return _judge_edges(bench, period, first, second, found)
+
+
+def _enable_data_ready(bench: BringupBench, before: int, *, first: bool) -> None:
+    """Enable data-ready on DIO1 so that the bridge uses the first or the second edge of the pulse.
+
+    `before` is the word of MSC_CTRL to change.
+    """
+    low = before & ~(_MISC.field("polarity").mask | _MISC.field("line").mask)
+    low |= _MISC.field("data_ready").mask
+    if bench.bus.edge_rises == first:
+        low |= _MISC.field("polarity").mask
+    _write_misc(bench, low)
+
+
+def _write_misc(bench: BringupBench, word: int) -> None:
+    bench.bus.exchange_array(write_frames(_MISC, word & _MISC.write_mask, byte_mask=0x00FF))
+
+
+def _count_edges(bench: BringupBench, period_s: float) -> tuple[float, int]:
+    """Count data-ready edges for some time; return the expected number of updates, and the edges.
+
+    `period_s` is the period of the updates.
+    """
+    bench.bus.read_event_counter()
+    begin_s = bench.bus.now_s()
+    bench.bus.sleep_s(max(0.5, 20 * period_s))
+    edges = bench.bus.read_event_counter()
+    return (bench.bus.now_s() - begin_s) / period_s, edges
+
+
+def _describe_rate(edges: int, expected: float, period_s: float) -> str:
+    rate = edges / expected / period_s
+    rest = (
+        "edges are missed: the line is weak, or the bridge is busy"
+        if edges < expected
+        else "other edges arrive too: the input is open or picks up noise"
+    )
+    return f"{rate:.0f} edges a second where {1 / period_s:.1f} updates are configured: {rest}"
+
+
+def _scan_at_edges(bench: BringupBench, period_s: float) -> _Edges | None:
+    """Record scans of one register, started at data-ready edges, each nearly as long as `period_s`.
+
+    Returns None if no edge starts a scan.
+    """
+    timing = timing_for(bench.sensor.read("SMPL_PRD"))
+    # One more frame fetches the last reply; 5 % of the period is reserved for the bridge.
+    frames = _READS + 1
+    fill_us = math.floor(0.95e6 * period_s / frames)
+    # 20 ms between two frames: the timers of the bridges reach about 50 ms.
+    fitting = min(max(timing.period_us, fill_us), 20_000.0)
+    if frames * fitting > 0.97e6 * period_s:
+        raise UsageError("the period is too short for a list of reads")
+    bench.bus.configure(replace(timing, period_us=fitting))
+    frame = int(read_frames([BY_NAME[_READ]])[0])
+    with bench.bus.stream([frame] * _READS, block_scans=_EDGE_SCANS // 4) as stream:
         try:
-            if counts:
-                self._enable(bench, before, first=True)
-                expected, edges = self._count(bench, period)
-                found.measure("edges counted", edges, expected=expected)
-                # Two edges may lie on either side of the span; the bridge's clock is off by so much.
-                slack = 2 + Z * BOARD_CLOCK_U * expected
-                if edges == 0:
-                    return found.not_measured(_NO_EDGE)
-                if abs(edges - expected) > slack:
-                    return found.fault(self._of_rate(edges, expected, period))
-                bench.data_ready = True
-            if not streams:
-                return found.ok(
-                    f"{edges} edges where {expected:.0f} updates were expected; which edge leads: not"
-                    " measured, this bridge starts no scans at the edge"
-                )
-            bench.data_ready = False
-            self._enable(bench, before, first=True)
-            first = self._scan(bench, period)
-            self._enable(bench, before, first=False)
-            second = None if first is None else self._scan(bench, period)
-        except UsageError as error:
-            return found.not_measured(f"this bridge takes no list of {_READS} reads at an edge ({error})")
-        finally:
-            self._write(bench, before)
-            bench.refresh()
-        if first is None or second is None:
-            return found.not_measured(_NO_EDGE)
-        return self._judge(bench, period, first, second, found)
+            blocks = [next(stream) for _ in range(4)]
+        except BusTimeoutError:
+            if Capability.EVENT_COUNTER in bench.bus.capabilities:  # the counter has seen edges
+                raise
+            return None
+    words = np.concatenate([block.words for block in blocks])
+    times = np.concatenate([block.time_s for block in blocks])
+    lost = sum(block.lost for block in blocks[1:])  # edges before the first block do not count
+    expected = float(times[-1] - times[0]) / period_s
+    return _Edges(_positions(words), lost, *_jitter(times, period_s), expected)
 
-    def _enable(self, bench: BringupBench, before: int, *, first: bool) -> None:
-        """Enable data-ready on DIO1 so that the bridge uses the first or the second edge of the pulse.
 
-        `before` is the word of MSC_CTRL to change.
-        """
-        low = before & ~(_MISC.field("polarity").mask | _MISC.field("line").mask)
-        low |= _MISC.field("data_ready").mask
-        if bench.bus.edge_rises == first:
-            low |= _MISC.field("polarity").mask
-        self._write(bench, low)
-
-    def _write(self, bench: BringupBench, word: int) -> None:
-        bench.bus.exchange_array(write_frames(_MISC, word & _MISC.write_mask, byte_mask=0x00FF))
-
-    def _count(self, bench: BringupBench, period_s: float) -> tuple[float, int]:
-        """Count data-ready edges for some time; return the expected number of updates, and the edges.
-
-        `period_s` is the period of the updates.
-        """
-        bench.bus.read_event_counter()
-        begin_s = bench.bus.now_s()
-        bench.bus.sleep_s(max(0.5, 20 * period_s))
-        edges = bench.bus.read_event_counter()
-        return (bench.bus.now_s() - begin_s) / period_s, edges
-
-    def _of_rate(self, edges: int, expected: float, period_s: float) -> str:
-        rate = edges / expected / period_s
-        rest = (
-            "edges are missed: the line is weak, or the bridge is busy"
-            if edges < expected
-            else "other edges arrive too: the input is open or picks up noise"
+def _judge_edges(
+    bench: BringupBench, period_s: float, first: _Edges, second: _Edges, found: StepResult
+) -> StepResult:
+    for name, edges in (("first", first), ("second", second)):
+        found.measure(f"{name} edge: rate of scans", edges.rate_hz, "Hz", expected=1 / period_s)
+        found.measure(f"{name} edge: scans that follow an update", edges.locked, expected=1.0)
+        found.measure(f"{name} edge: read that carries ND", edges.usual, expected=0)
+        found.measure(f"{name} edge: jitter (rms, as the bridge stamps it)", edges.jitter_us, "us")
+        found.measure(f"{name} edge: missed", edges.missed, expected=0)
+    surplus = max(first.surplus - first.slack, second.surplus - second.slack)
+    if surplus > 0:
+        return found.fault("more edges come than updates: the input picks up noise too")
+    if first.locked < 1:
+        return found.fault(
+            f"{100 * (1 - first.locked):.0f} % of the scans do not follow an update: the input picks up"
+            " noise"
         )
-        return f"{rate:.0f} edges a second where {1 / period_s:.1f} updates are configured: {rest}"
-
-    def _scan(self, bench: BringupBench, period_s: float) -> _Edges | None:
-        """Record scans of one register, started at data-ready edges, each nearly as long as `period_s`.
-
-        Returns None if no edge starts a scan.
-        """
-        timing = timing_for(bench.sensor.read("SMPL_PRD"))
-        # One more frame fetches the last reply; 5 % of the period is reserved for the bridge.
-        frames = _READS + 1
-        fill_us = math.floor(0.95e6 * period_s / frames)
-        # 20 ms between two frames: the timers of the bridges reach about 50 ms.
-        fitting = min(max(timing.period_us, fill_us), 20_000.0)
-        if frames * fitting > 0.97e6 * period_s:
-            raise UsageError("the period is too short for a list of reads")
-        bench.bus.configure(replace(timing, period_us=fitting))
-        frame = int(read_frames([BY_NAME[_READ]])[0])
-        with bench.bus.stream([frame] * _READS, block_scans=self._scans // 4) as stream:
-            try:
-                blocks = [next(stream) for _ in range(4)]
-            except BusTimeoutError:
-                if Capability.EVENT_COUNTER in bench.bus.capabilities:  # the counter has seen edges
-                    raise
-                return None
-        words = np.concatenate([block.words for block in blocks])
-        times = np.concatenate([block.time_s for block in blocks])
-        lost = sum(block.lost for block in blocks[1:])  # edges before the first block do not count
-        expected = float(times[-1] - times[0]) / period_s
-        return _Edges(_positions(words), lost, *_jitter(times, period_s), expected)
-
-    def _judge(
-        self, bench: BringupBench, period_s: float, first: _Edges, second: _Edges, found: StepResult
-    ) -> StepResult:
-        for name, edges in (("first", first), ("second", second)):
-            found.measure(f"{name} edge: rate of scans", edges.rate_hz, "Hz", expected=1 / period_s)
-            found.measure(f"{name} edge: scans that follow an update", edges.locked, expected=1.0)
-            found.measure(f"{name} edge: read that carries ND", edges.usual, expected=0)
-            found.measure(f"{name} edge: jitter (rms, as the bridge stamps it)", edges.jitter_us, "us")
-            found.measure(f"{name} edge: missed", edges.missed, expected=0)
-        surplus = max(first.surplus - first.slack, second.surplus - second.slack)
-        if surplus > 0:
-            return found.fault("more edges come than updates: the input picks up noise too")
-        if first.locked < 1:
-            return found.fault(
-                f"{100 * (1 - first.locked):.0f} % of the scans do not follow an update: the input picks up"
-                " noise"
-            )
-        missed = first.missed + second.missed
-        if missed:
-            return found.fault(f"{missed} of {2 * self._scans + missed} edges were missed")
-        bench.data_ready = True
-        if first.usual > 0:
-            found.check("data_ready_edge", False, "the update comes after the pulse's first edge")
-            return found.differs(
-                "the wrong edge leads: the update comes after the pulse's first edge, so that words of a"
-                " scan that starts there mix two updates"
-                + ("; at its second edge they do not" if second.usual == 0 else "")
-            )
-        found.check("data_ready_edge", True, "a scan that starts at the pulse's first edge sees the update")
-        return found.ok(
-            f"every edge follows an update, none is missed; the first edge of the pulse leads; jitter"
-            f" {first.jitter_us:.1f} µs rms"
+    missed = first.missed + second.missed
+    if missed:
+        return found.fault(f"{missed} of {2 * _EDGE_SCANS + missed} edges were missed")
+    bench.data_ready = True
+    if first.usual > 0:
+        found.check("data_ready_edge", False, "the update comes after the pulse's first edge")
+        return found.differs(
+            "the wrong edge leads: the update comes after the pulse's first edge, so that words of a"
+            " scan that starts there mix two updates"
+            + ("; at its second edge they do not" if second.usual == 0 else "")
         )
+    found.check("data_ready_edge", True, "a scan that starts at the pulse's first edge sees the update")
+    return found.ok(
+        f"every edge follows an update, none is missed; the first edge of the pulse leads; jitter"
+        f" {first.jitter_us:.1f} µs rms"
+    )
 
 
 def _positions(words: Words) -> NDArray[np.int64]:
@@ -352,44 +350,37 @@ def _jitter(time_s: Floats, period_s: float) -> tuple[float, float]:
     return 1e6 * float(np.std(rest)), (len(time_s) - 1) / float(time_s[-1] - time_s[0])
 
 
-class SamplePeriods(BringupStep):
-    """Sets eight values of SMPL_PRD, in both of its time bases, and checks the sample period of each."""
+_CODES = (0x01, 0x04, 0x09, 0x0A, 0x1F, 0x7F, 0x80, 0x83)
 
-    name = "sample periods"
-    does = "writes eight steps of SMPL_PRD in both time bases and measures the period of each"
-    effect = SideEffect.WRITES
-    question = "Write SMPL_PRD (eight values, about 10 s)?"
-    settles = ("sample_period",)
-    _codes = (0x01, 0x04, 0x09, 0x0A, 0x1F, 0x7F, 0x80, 0x83)
 
-    def run(self, bench: BringupBench, found: StepResult) -> StepResult:
-        """Measure the period with each value of SMPL_PRD.
+def measure_periods(bench: BringupBench, found: StepResult) -> StepResult:
+    """Write eight values of SMPL_PRD in both time bases and measure the period of each.
 
-        The nominal period is the time base (bit 7 of the value) times (N + 1), with N in bits 0 to 6.
-        """
-        why, ratios = "", []
-        for code in self._codes:
-            bench.sensor.write("SMPL_PRD", code)
-            expected = sample_period_s(code) * bench.clock
-            bench.bus.sleep_s(2 * expected)
-            period = measured_period(bench, expected, max(12, min(256, round(0.5 / expected))))
-            if isinstance(period, str):
-                why = period
-                continue
-            name, ms = f"period at 0x{code:02X}", 1e3 * period.value_s
-            found.measure(name, ms, "ms", 1e3 * period.u_s, 1e3 * expected)
-            ratios.append((period.value_s / expected, period.u_s / expected))
-        if not ratios:
-            return found.not_measured(why)
-        # All periods come from one clock, whose error the most precise ratio shows.
-        clock, clock_u = min(ratios, key=lambda one: one[1])
-        off = clock - 1
-        wrong = [f"the periods are {100 * off:.2g} % off"] if abs(off) > _CLOCK + Z * clock_u else []
-        wrong += [
-            f"{figure.name} is {figure.value:.4g} ms instead of {figure.expected:.4g} ms"
-            for figure, (ratio, u) in zip(found.figures, ratios, strict=True)
-            if abs(ratio / clock - 1) > _STEADY + Z * math.hypot(u, clock_u)
-        ]
-        text = "; ".join(wrong) or "every period is the time base times (N + 1)"
-        found.check("sample_period", not wrong, text, *found.figures)
-        return found.by_answers()
+    The nominal period is the time base (bit 7 of the value) times (N + 1), with N in bits 0 to 6.
+    """
+    why, ratios = "", []
+    for code in _CODES:
+        bench.sensor.write("SMPL_PRD", code)
+        expected = sample_period_s(code) * bench.clock
+        bench.bus.sleep_s(2 * expected)
+        period = measured_period(bench, expected, max(12, min(256, round(0.5 / expected))))
+        if isinstance(period, str):
+            why = period
+            continue
+        name, ms = f"period at 0x{code:02X}", 1e3 * period.value_s
+        found.measure(name, ms, "ms", 1e3 * period.u_s, 1e3 * expected)
+        ratios.append((period.value_s / expected, period.u_s / expected))
+    if not ratios:
+        return found.not_measured(why)
+    # All periods come from one clock, whose error the most precise ratio shows.
+    clock, clock_u = min(ratios, key=lambda one: one[1])
+    off = clock - 1
+    wrong = [f"the periods are {100 * off:.2g} % off"] if abs(off) > _CLOCK + Z * clock_u else []
+    wrong += [
+        f"{figure.name} is {figure.value:.4g} ms instead of {figure.expected:.4g} ms"
+        for figure, (ratio, u) in zip(found.figures, ratios, strict=True)
+        if abs(ratio / clock - 1) > _STEADY + Z * math.hypot(u, clock_u)
+    ]
+    text = "; ".join(wrong) or "every period is the time base times (N + 1)"
+    found.check("sample_period", not wrong, text, *found.figures)
+    return found.by_answers()
