@@ -6,14 +6,12 @@
 | `replay:FILE` | answers each call with the next recorded call that has the same frames |
 | `replay:FILE?mode=strict` | raises an error at the first call that differs from the recording |
 
-A file begins with the line `MAGIC`. After that come records, with all numbers little-endian:
-
-| part | type | meaning |
-|---|---|---|
-| kind | uint8 | one of `RecordKind` |
-| size | uint32 | number of bytes of the content |
-| content | bytes | by kind, see `RecordKind` |
-| crc | uint32 | CRC-32 (zlib) of kind, size and content |
+A file is text. Its first line is `MAGIC`, and each further line is one record: the CRC-32 (zlib) of the
+rest of the line in eight hexadecimal digits, a blank, and a JSON object. Record 0 describes the recorded
+bus: kind, url, timing, capabilities, edge_rises, unbroken_frames, virtual_time, and the methods and
+settings of its helpers. Every other record is a `Call` without its number and without fields that are
+None. Words are a text with four hexadecimal digits for each word, a block of a stream is an object with
+shape, words, time_s and lost, and an error is a list of its class and its message.
 
 Each record is written by one system call, so a crash of the program loses none and a power cut at most the
 records that the system had not yet written. Reading ends at the first record that is incomplete or
@@ -26,12 +24,10 @@ from __future__ import annotations
 
 import contextlib
 import json
-import struct
 import threading
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
-from enum import IntEnum
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, TypeVar
@@ -55,31 +51,12 @@ from adis_gonio.device.bus.contract import (
 from adis_gonio.device.bus.host import UrlOptions
 from adis_gonio.device.bus.opening import BusUrl, open_bus
 
-MAGIC = b"adis-gonio recording 1\n"
-_HEAD, _CRC, _CLOCK = struct.Struct("<BI"), struct.Struct("<I"), struct.Struct("<d")
-_TIMES, _BLOCK = struct.Struct("<dd"), struct.Struct("<ddqII")
-
+MAGIC = b"adis-gonio recording 2"
 
 _EXPECTED = frozenset({"exchange", "configure", "stream", "block", "end_stream", "hard_reset"})
 """Calls that a strict replay must repeat; reads of clocks and counters may differ in number."""
 
 T = TypeVar("T")
-
-
-class RecordKind(IntEnum):
-    """Kinds of records in a file of recorded bus calls."""
-
-    HEADER = 1
-    """JSON object with url, timing, capabilities, edge_rises and unbroken_frames of the recorded bus."""
-    CLOCK = 2
-    """Time in s (float64) that the bus returned to a caller of `now_s`."""
-    EXCHANGE = 3
-    """Begin and end in s (float64), n frames (uint16), n replies (uint16)."""
-    BLOCK = 4
-    """Begin and end in s (float64), lost triggers (int64), n scans and k words (uint32 each), times in s
-    (n float64), words (n·k uint16)."""
-    CALL = 5
-    """JSON object with call, begin, end and, depending on the call, arguments, frames, result, error."""
 
 
 @dataclass(frozen=True)
@@ -145,14 +122,14 @@ class _Writer:
             self._file = path.open("xb", buffering=0)
         except OSError as error:
             raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
-        self._write(MAGIC)
+        self._write(MAGIC + b"\n")
 
-    def add(self, kind: RecordKind, content: bytes) -> None:
+    def add(self, record: dict[str, Any]) -> None:
         """Append one record; do nothing after a failure or after `close`."""
-        record = _HEAD.pack(kind, len(content)) + content
+        text = json.dumps(record, default=_plain, separators=(",", ":")).encode()
         with self._lock:
             if self.failure is None and not self._file.closed:
-                self._write(record + _CRC.pack(zlib.crc32(record)))
+                self._write(b"%08x %s\n" % (zlib.crc32(text), text))
 
     def _write(self, record: bytes) -> None:
         begin = self._file.tell()
@@ -177,33 +154,20 @@ class _Writer:
             )
 
 
-def _encode(call: Call) -> tuple[RecordKind, bytes]:
-    """Return kind and content of the record of a call; `_call` decodes them."""
-    times = call.begin_s, call.end_s
-    if call.name == "clock":
-        return RecordKind.CLOCK, _CLOCK.pack(call.end_s)
-    if call.error is None and call.name == "exchange":
-        words = np.concatenate([call.frames, call.result]).astype("<u2")
-        return RecordKind.EXCHANGE, _TIMES.pack(*times) + words.tobytes()
-    if call.error is None and call.name == "block":
-        block: FrameBlock = call.result
-        head = _BLOCK.pack(*times, block.lost, *block.words.shape)
-        parts = head, block.time_s.astype("<f8").tobytes(), block.words.astype("<u2").tobytes()
-        return RecordKind.BLOCK, b"".join(parts)
-    facts: dict[str, Any] = {"call": call.name, "begin": call.begin_s, "end": call.end_s}
-    if call.frames is not None:
-        facts["frames"] = call.frames.tolist()
-    if call.arguments:
-        facts["arguments"] = call.arguments
-    if call.error is None:
-        facts["result"] = call.result
-    else:
-        facts["error"] = [type(call.error).__name__, str(call.error)]
-    return RecordKind.CALL, _to_json(facts)
+def _record(call: Call) -> dict[str, Any]:
+    """Return the record of a call, from which `_call` makes the call again."""
+    return {name: value for name, value in vars(call).items() if name != "number" and value is not None}
 
 
-def _to_json(document: dict[str, Any]) -> bytes:
-    return json.dumps(document, ensure_ascii=True, separators=(",", ":")).encode()
+def _plain(value: object) -> Any:
+    """Return the JSON form of words, of a block of a stream or of an error in a record."""
+    if isinstance(value, np.ndarray) and value.dtype == np.uint16:
+        return value.astype(">u2").tobytes().hex()
+    if isinstance(value, FrameBlock):
+        return vars(value) | {"shape": value.words.shape, "time_s": value.time_s.tolist()}
+    if isinstance(value, AdisGonioError):
+        return [type(value).__name__, str(value)]
+    raise TypeError(f"{type(value).__name__} has no form in a recording")
 
 
 class ObservedBus(ForwardingBus):
@@ -320,7 +284,7 @@ class RecordingBus(ObservedBus):
 
     def __init__(self, inner: SpiBus, path: str | Path) -> None:
         self.writer = _Writer(check_output(path, cure="choose another name for the recording"))
-        super().__init__(inner, lambda call: self.writer.add(*_encode(call)))
+        super().__init__(inner, lambda call: self.writer.add(_record(call)))
         header = {
             "kind": inner.kind,
             "url": inner.url,
@@ -331,7 +295,7 @@ class RecordingBus(ObservedBus):
             "virtual_time": self.virtual_time,
             "helpers": {name: _describe(getattr(inner, name, None)) for name in _HELPERS},
         }
-        self.writer.add(RecordKind.HEADER, _to_json(header))
+        self.writer.add(header)
         if self.writer.failure:
             self.writer.close()
 
@@ -389,7 +353,7 @@ class BusRecording:
     Attributes
     ----------
     header : dict
-        JSON object of the header record, see `RecordKind.HEADER`.
+        JSON object of record 0, which describes the recorded bus.
     damage : str
         Reason why reading ended before the end of the file; empty if all records could be read. It is known
         when the calls have been iterated.
@@ -404,66 +368,52 @@ class BusRecording:
         self.path = Path(path)
         self.damage = ""
         try:
-            self._data = self.path.read_bytes()
+            magic, *self._lines = self.path.read_bytes().split(b"\n")
         except OSError as error:
             raise DataError(f"{path}: cannot be read: {error.strerror}") from None
-        if not self._data.startswith(MAGIC):
+        if magic != MAGIC:
             raise DataError(
                 f"{path}: is no recording; record: makes one, such as record:run.rec:sim:?seed=1"
             )
-        kind, content = next(self._records(), (None, b""))
-        if kind != RecordKind.HEADER:
+        header = next(self._records(), None)
+        if header is None:
             raise DataError(f"{path}: the header of the recording is damaged")
-        self.header: dict[str, Any] = json.loads(content)
+        self.header = header
 
     def __iter__(self) -> Iterator[Call]:
-        for number, (kind, content) in enumerate(self._records()):
-            if kind != RecordKind.HEADER:
-                yield _call(number, kind, content)
+        return (_call(number, facts) for number, facts in enumerate(self._records()) if number)
 
-    def _records(self) -> Iterator[tuple[int, bytes]]:
-        """Yield kind and content of each undamaged record.
+    def _records(self) -> Iterator[dict[str, Any]]:
+        """Yield the undamaged records.
 
-        Set `damage` if bytes that are no whole record remain.
+        Set `damage` if a damaged record or an incomplete last line remains.
         """
-        data, at, number = self._data, len(MAGIC), 0
-        while at + _HEAD.size + _CRC.size <= len(data):
-            kind, size = _HEAD.unpack_from(data, at)
-            end = at + _HEAD.size + size
-            if end + _CRC.size > len(data) or _CRC.unpack_from(data, end)[0] != zlib.crc32(data[at:end]):
-                break
-            yield kind, data[at + _HEAD.size : end]
-            at, number = end + _CRC.size, number + 1
-        if at < len(data):
-            self.damage = f"ends at record {number}, because the rest is incomplete or damaged"
+        for number, line in enumerate(self._lines):
+            crc, _, text = line.partition(b" ")
+            if number < len(self._lines) - 1 and crc == b"%08x" % zlib.crc32(text):
+                yield json.loads(text)
+            elif line:
+                self.damage = f"ends at record {number}, because the rest is incomplete or damaged"
+                return
 
 
-def _call(number: int, kind: int, content: bytes) -> Call:
-    """Decode the content of one record of the given number and kind."""
-    if kind == RecordKind.CLOCK:
-        (now,) = _CLOCK.unpack(content)
-        return Call(number, "clock", now, now, result=now)
-    if kind == RecordKind.EXCHANGE:
-        frames, replies = np.frombuffer(content, "<u2", offset=_TIMES.size).astype(np.uint16).reshape(2, -1)
-        begin_s, end_s = _TIMES.unpack_from(content)
-        return Call(number, "exchange", begin_s, end_s, frames, result=replies)
-    if kind == RecordKind.BLOCK:
-        begin_s, end_s, lost, n, k = _BLOCK.unpack_from(content)
-        times = np.frombuffer(content, "<f8", count=n, offset=_BLOCK.size).astype(np.float64)
-        words = np.frombuffer(content, "<u2", offset=_BLOCK.size + times.nbytes).astype(np.uint16)
-        return Call(number, "block", begin_s, end_s, result=FrameBlock(words.reshape(n, k), times, lost))
-    facts = json.loads(content)
-    frames = facts.get("frames")
-    return Call(
-        number,
-        facts["call"],
-        facts["begin"],
-        facts["end"],
-        None if frames is None else np.array(frames, np.uint16),
-        facts.get("arguments", ()),
-        facts.get("result"),
-        _rebuild(*facts["error"]) if "error" in facts else None,
-    )
+def _call(number: int, facts: dict[str, Any]) -> Call:
+    """Make the call that a record of this number describes."""
+    result = facts.get("result")
+    if "frames" in facts:
+        facts["frames"] = _words(facts["frames"])
+    if facts["name"] == "exchange" and result is not None:
+        facts["result"] = _words(result)
+    if facts["name"] == "block" and result is not None:
+        words = _words(result["words"]).reshape(result["shape"])
+        facts["result"] = FrameBlock(words, np.array(result["time_s"]), result["lost"])
+    if "error" in facts:
+        facts["error"] = _rebuild(*facts["error"])
+    return Call(number, **facts)
+
+
+def _words(text: str) -> Words:
+    return np.frombuffer(bytes.fromhex(text), ">u2").astype(np.uint16)
 
 
 def _rebuild(name: str, message: str) -> AdisGonioError:
