@@ -420,6 +420,10 @@ def test_lost_scans_are_counted_and_told(sensor, path, monkeypatch):
     events = list(SessionRunner.begin(sensor, path, plan(), SHORT, auto=True).run(so_far=False))
     for done in of(events, DwellDone):
         assert 5 <= done.lost <= 12
+    shown = [event.lost for event in of(events, Watching)]
+    assert shown[0] == 1  # one block so far
+    assert shown == sorted(shown)
+    assert shown[-1] > sum(done.lost for done in of(events, DwellDone))
     problems = of(events, Problem)
     assert [problem.kind for problem in problems] == ["lost", "lost"]
     session = read_session(path)

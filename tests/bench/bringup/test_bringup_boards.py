@@ -186,10 +186,19 @@ def test_the_filter_is_not_judged_on_a_vibrating_table():
     assert not found.accused
 
 
-def test_noise_that_is_not_the_tables_is_a_difference_with_its_size():
-    found = bring_up(SOUND.open(8, noise_mg=6.0), steps=only("link", "bit errors", "noise"))
+@pytest.mark.parametrize(
+    ("setting", "value", "loud", "quiet"),
+    [("noise_mg", 6.0, "accel", "gyro"), ("gyro_noise_dps", 0.9, "gyro", "accel")],
+)
+def test_noise_that_is_not_the_tables_is_a_difference_with_its_size_on_each_axis(
+    setting, value, loud, quiet
+):
+    found = bring_up(SOUND.open(8, **{setting: value}), steps=only("link", "bit errors", "noise"))
     assert found.row("noise").verdict is Verdict.DIFFERS
-    answer = found.answers["accel_noise"]
+    of_kind = {"accel": "ACCL", "gyro": "GYRO"}[loud]
+    named = [part.partition(":")[0] for part in found.row("noise").text.split("; ")]
+    assert named == [f"{axis}{of_kind}_OUT" for axis in "XYZ"]
+    answer = found.answers[f"{loud}_noise"]
     assert answer.outcome is Outcome.CONTRADICTS
-    assert all(figure.value == pytest.approx(6.0, abs=5 * figure.u) for figure in answer.figures)
-    assert found.answers["gyro_noise"].outcome is Outcome.CONFIRMS
+    assert all(figure.value == pytest.approx(value, abs=5 * figure.u) for figure in answer.figures)
+    assert found.answers[f"{quiet}_noise"].outcome is Outcome.CONFIRMS
