@@ -177,20 +177,29 @@ def test_names_of_other_parameters_are_left_alone():
     assert "lever_x" not in made
 
 
-def test_offsets_of_the_chip_leave_the_zero_rate_and_force_moves_with_the_accelerometers():
+def test_offsets_of_the_chip_move_the_zero_rate_alone():
     made = gyros(FULL)
     after = made.with_offsets((12 + 40, -5, -30))
     assert after.bias_dps - made.bias_dps == pytest.approx([40 * LSB, 0.0, -30 * LSB])
     assert after.offsets_lsb == (52, -5, -30)
-    # 100 LSB of XACCL_OFF later the accelerometers read 46.72 mg more of the same force.
-    held = replace(calibration(SPACE).provenance, offsets_lsb=(0, 0, 0))
-    whole = replace(calibration(SPACE), provenance=held, gyro=made)
-    moved = whole.with_offsets((100, 0, 0)).gyro
-    force = np.array([0.2, -0.4, 0.9])
-    rate = made.readings_of(np.zeros(3), force).rate_dps
-    assert moved.correct(rate, force + np.array([0.04672, 0, 0])) == pytest.approx(np.zeros(3), abs=1e-12)
     with pytest.raises(UsageError, match="does not state"):
         replace(made, offsets_lsb=None).with_offsets((1, 2, 3))
+
+
+@pytest.mark.parametrize("values", [FULL, EVERY, ZERO | {"g2_sensitivity_yx": 0.5}])
+def test_a_force_has_the_same_effect_and_u_after_the_accelerometers_have_moved(values):
+    # 1000 LSB of XACCL_OFF later the accelerometers read 467.2 mg more of the same force.
+    made = gyros(values)
+    held = replace(calibration(SPACE).provenance, offsets_lsb=(0, 0, 0))
+    whole = replace(calibration(SPACE), provenance=held, gyro=made)
+    moved = whole.with_offsets((1000, 0, -500)).gyro
+    force, moved_g, still = np.array([0.2, -0.4, 0.9]), np.array([0.4672, 0, -0.2336]), np.zeros(3)
+    before = made.readings_of(still, force)
+    after = moved.readings_of(still, force + moved_g)
+    assert after.rate_dps == pytest.approx(before.rate_dps, abs=1e-12)
+    assert after.u_dps == pytest.approx(before.u_dps, rel=1e-9)
+    assert [one.u for one in moved.parameters] == pytest.approx(np.sqrt(np.diag(moved.covariance)))
+    assert replace(made, covariance=None).with_force_moved([1, 0, 0]).covariance is None
 
 
 @pytest.mark.parametrize(

@@ -354,11 +354,36 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
     def with_force_moved(self, moved_g: ArrayLike) -> GyroCalibration:
         """Return the calibration for accelerometers that now read `moved_g` (3,) more, in g.
 
-        This happens when their offset registers change. The measured force then includes `moved_g`, so the
-        zero rates are reduced by the g-sensitivity times `moved_g`.
+        This happens when their offset registers change. The measured force f then includes `moved_g` = m,
+        so G (f − m) + G₂ (f − m)² has to be the same function of f: the zero rates change by −G m + G₂ m²,
+        and G changes by −2 G₂ m. The covariance follows, since this is linear in the parameters.
         """
         moved = np.asarray(moved_g, dtype=float)
-        return self._with_bias_moved(-self.g_sensitivity_dps_per_g @ moved)
+        if not moved.any():
+            return self
+        names = [n for n in KIND_OF if n in self or n.replace("g_sens", "g2_sens") in self]
+
+        def changed(values: Floats) -> Floats:
+            old = self.by_kind(values)
+            new = {
+                **old,
+                "gyro_bias": old["gyro_bias"] + _by_force(old, -moved),
+                "g_sensitivity": old["g_sensitivity"] - 2 * old["g2_sensitivity"] * moved,
+            }
+            at = [tuple(map(AXES.index, name.rpartition("_")[2])) for name in names]
+            return np.array([new[KIND_OF[name]][place] for name, place in zip(names, at, strict=True)])
+
+        covariance, u = None, [self[name].u if name in self else None for name in names]
+        if self.covariance is not None:
+            by_old = np.array([changed(one) for one in np.eye(len(self.names))]).T
+            covariance = by_old @ self.covariance @ by_old.T
+            u = np.sqrt(np.diag(covariance)).tolist()
+        parameters = tuple(
+            Coefficient(name, value, of_value, UNIT_OF[name], self[name].dof if name in self else None)
+            for name, value, of_value in zip(names, changed(self.values).tolist(), u, strict=True)
+        )
+        assumed = tuple(name for name in self.assumed if name not in names)
+        return replace(self, parameters=parameters, covariance=covariance, assumed=assumed)
 
     def _with_bias_moved(self, by_dps: Floats) -> GyroCalibration:
         added = {f"gyro_bias_{axis}": float(by) for axis, by in zip(AXES, by_dps, strict=True)}
