@@ -162,6 +162,10 @@ def damaged():
         "session_temperature_c lacks 'mean'",
     )
     yield put("covariance", value=7), "damaged"
+    yield put("parameters", "delta_phi", "unit", value="rad"), "delta_phi is in rad, has to be in deg"
+    yield put("parameters", "bias_y", "unit", value="mps2"), "bias_y is in mps2, has to be in mg"
+    yield put("parameters", "scale_x", "unit", value="%"), "scale_x is in %, has to be in 1"
+    yield put("reference", "temperature_c", value=20.0), "reference is not 25 °C and 5 V"
 
 
 @pytest.mark.parametrize(("change", "says"), list(damaged()))

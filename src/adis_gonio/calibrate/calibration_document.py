@@ -85,6 +85,7 @@ def _read_from(
 
 
 _GAINS, _LEAST_GAIN = ("scale_x", "scale_y", "scale_z"), 1e-6
+_BIASES = ("bias_x", "bias_y", "bias_z")
 _LARGEST_SKEW_DEG = 45.0
 _VALUE = number(-1e15, 1e15)
 _TEXTS = list_of(text, 0, 10_000)
@@ -170,10 +171,6 @@ def _read(document: Mapping[str, Any]) -> Calibration:
 
 def _read_gyro(document: Mapping[str, Any]) -> GyroCalibration:
     GYRO_DOCUMENT(document)
-    reference = document["reference"]
-    # Effects of temperature and supply are zero at the reference: another one would move the zero rates.
-    if (reference["temperature_c"], reference["supply_v"]) != (REFERENCE_C, REFERENCE_V):
-        raise ValueError(f"its reference is not {REFERENCE_C:g} °C and {REFERENCE_V:g} V")
     # Files of older versions lack the source.
     made = GyroCalibration(source=document.get("source", ""), **_read_body(document))
     made.check()
@@ -183,6 +180,9 @@ def _read_gyro(document: Mapping[str, Any]) -> GyroCalibration:
 def _read_body(document: Mapping[str, Any]) -> dict[str, Any]:
     """Read the attributes that calibrations of accelerometers and of gyros have in common, by name."""
     covariance, offsets, reference = document["covariance"], document["offsets_lsb"], document["reference"]
+    # Effects of temperature and supply are zero at the reference: another reference would move the biases.
+    if (reference["temperature_c"], reference["supply_v"]) != (REFERENCE_C, REFERENCE_V):
+        raise ValueError(f"its reference is not {REFERENCE_C:g} °C and {REFERENCE_V:g} V")
     parameters = []
     for name, one in document["parameters"].items():
         u, dof = (None if one.get(key) is None else float(one[key]) for key in ("u", "dof"))
@@ -242,7 +242,21 @@ def _checked(calibration: Calibration) -> Calibration:
             raise ValueError(f"parameter {name} is missing")
     # Effects with unknown conditions, or on an axis that the calibration lacks, raise `UsageError`.
     calibration.readings_of(np.eye(calibration.axes))
+    _check_units(calibration)
     return calibration
+
+
+def _check_units(calibration: Calibration) -> None:
+    """Raise `ValueError` if a parameter has another unit than the calibration uses for it."""
+    units = {one.name: one.unit for one in calibration.measurement.parameters}
+    if calibration.provenance.counts:
+        units |= dict.fromkeys(_GAINS, "counts/(m/s²)")
+    units |= dict.fromkeys(_BIASES, calibration.unit)
+    for term in calibration.effects:
+        units |= zip(term.parameters, (one.unit for one in term.effect.parameters), strict=True)
+    for one in calibration.parameters:
+        if one.unit != (unit := units.get(one.name, one.unit)):
+            raise ValueError(f"{one.name} is in {one.unit}, has to be in {unit}")
 
 
 LARGEST_BYTES = 10_000_000
