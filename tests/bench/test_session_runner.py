@@ -30,7 +30,7 @@ from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.device.sensor import Adis16354, open_sensor
 from adis_gonio.device.sensor.registers import EA
-from adis_gonio.device.sensor.scanning import ScanStream
+from adis_gonio.device.sensor.scanning import ScanStream, StreamedScans
 from adis_gonio.device.sensor.settings import ScanBlock, join
 from adis_gonio.record.archive import Archive, ArchiveView
 from adis_gonio.record.plans import Plan, plan
@@ -396,6 +396,31 @@ def test_a_ctrl_c_at_the_end_leaves_no_register_changed(path, at):
     count, _ = session(path, None)
     _, registers = session(path.with_name("b.session"), count + 1 + at)
     assert registers == {"MSC_CTRL": (0, 0), "ALM_MAG2": (0, 0)}
+
+
+@pytest.mark.parametrize("begin", [(ScanStream, "close"), (StreamedScans, "_stop")])
+def test_a_ctrl_c_as_a_stream_begins_to_close_leaves_no_register_changed(sensor, path, monkeypatch, begin):
+    kind, name = begin
+    close, calls = getattr(kind, name), []
+
+    def interrupted(stream):
+        calls.append(1)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        close(stream)
+
+    monkeypatch.setattr(kind, name, interrupted)
+    before = sensor.read("MSC_CTRL")
+    with pytest.raises(KeyboardInterrupt):
+        list(SessionRunner.begin(sensor, path, plan(), SHORT, auto=True).run(so_far=False))
+    assert sensor.read("MSC_CTRL") == before
+
+
+@pytest.mark.parametrize("created", ["2026-05-06T10:00:00", "2026-05-06", "yesterday"])
+def test_a_session_refuses_a_beginning_without_a_time_zone(sensor, path, created):
+    with pytest.raises(UsageError, match=f"created_utc is '{created}': expected a time such as"):
+        SessionRunner.begin(sensor, path, plan(), created_utc=created)
+    assert not path.exists()
 
 
 def test_a_ctrl_c_after_the_last_scan_of_a_dwell_keeps_its_samples(sensor, path, monkeypatch):

@@ -28,6 +28,7 @@ from pathlib import Path
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import AdisGonioError, SessionError, UsageError
+from adis_gonio.base.shapes import ShapeError, moment
 from adis_gonio.bench.advisor import Advisor
 from adis_gonio.bench.dialogue import Operator, Questions, Reply
 from adis_gonio.bench.dwell_recorder import DwellRecorder
@@ -49,7 +50,7 @@ from adis_gonio.bench.session_state import Knowledge, Ledger
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, StageCurve, checked_gravity_mps2
 from adis_gonio.record.archive import Archive
-from adis_gonio.record.archive_tables import Header
+from adis_gonio.record.archive_tables import Header, utc_now
 from adis_gonio.record.plans import GYRO_TURNS, Plan, Position, blindness, extension
 from adis_gonio.record.session_reader import FREE_TURN, read_session
 from adis_gonio.record.source import SampleSource, Settings, expected_each_s
@@ -137,18 +138,22 @@ class SessionRunner(Operator):
             Source of further positions when the plan is done; None if there is none.
         metadata : str
             Texts to keep with the session: `title`, `note` and the names in
-            `adis_gonio.model.records.METADATA`; or `created_utc`, the time of its begin in ISO 8601
-            (default: now).
+            `adis_gonio.model.records.METADATA`; or `created_utc`, the time of its begin in ISO 8601 with
+            its time zone (default: now).
 
         Raises
         ------
         UsageError
-            `auto` is set without a stage, gravity or fixture is out of range, or the certificate of the
-            stage does not cover the plan.
+            `auto` is set without a stage, gravity or fixture is out of range, `created_utc` is no time with
+            a time zone, or the certificate of the stage does not cover the plan.
         SessionError
             The file exists, or cannot be created.
         """
         checked_gravity_mps2(gravity_mps2, anywhere=True)
+        try:
+            moment(metadata.get("created_utc") or utc_now())
+        except ShapeError as error:
+            raise UsageError(f"created_utc{error}") from None
         if fixture_sigma_deg is not None and not fixture_sigma_deg >= 0:
             raise UsageError(f"fixture_sigma_deg is {fixture_sigma_deg}: take 0° or more")
         if stage_curve is not None:

@@ -248,11 +248,12 @@ class SessionBench:
     def close_stream(self) -> None:
         """End the stream, so that registers can be read; may be called twice."""
         if self._stream is not None:
-            stream, self._stream = self._stream, None
+            stream = self._stream
             why = f"{self.source.why_polled}; " if self.source.why_polled else ""
             caveat = stream.caveat or self.scanning.get("caveat", "")
             self.scanning = {"how": f"{why}{stream.how}", "caveat": caveat}
             stream.close()
+            self._stream = None  # only now, so that an interrupted end is repeated
 
     def move_to(self, position: Position) -> Move | None:
         """Move the stage to a position and return the move; None if no stage can do it."""

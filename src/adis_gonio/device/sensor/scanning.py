@@ -317,8 +317,8 @@ class BlockStream(Closing, Generic[B]):
     def close(self) -> None:
         """Stop the stream; may be called twice."""
         if not self._closed:
-            self._closed = True
             self._stop()
+            self._closed = True  # only now, so that an interrupted stop is repeated
 
     @abstractmethod
     def _next(self) -> B: ...
