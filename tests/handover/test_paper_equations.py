@@ -10,13 +10,13 @@ from adis_gonio.fitting import fit
 from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.handover import paper_study as through_chip
 from adis_gonio.handover.paper_study import (
+    DELTA_K,
     TABLE,
     Study,
     crossing_deg,
+    estimates_of,
     measured,
     propagated_errors,
-    quantities,
-    true_values,
     url_of,
     verdicts,
 )
@@ -62,18 +62,18 @@ def test_a_session_through_the_chip_gives_the_numbers_of_the_equations_by_hand(p
     four, nine = measured(part, "four-position"), measured(part, "mmpm")
     (x1, y1), (x2, y2) = natural(four)[:2]
     delta_k, phi = by_hand.paper(x1, y1, x2, y2)
-    ours = quantities(fit(four, "paper"))
+    ours = estimates_of(fit(four, "paper"))
     assert ours["delta_k"][0] == pytest.approx(delta_k, abs=1e-12)
-    assert ours["non_orthogonality"][0] == pytest.approx(phi, abs=1e-9)
-    assert ours["scale_error_x"][0] == pytest.approx(math.hypot(x1, x2) - 1, abs=1e-12)
-    assert ours["scale_error_y"][0] == pytest.approx(math.hypot(x1, x2) / (1 + delta_k) - 1, abs=1e-12)
-    assert ours["offset_x"][0] is None
+    assert ours["delta_phi"][0] == pytest.approx(phi, abs=1e-9)
+    assert ours["scale_x"][0] == pytest.approx(math.hypot(x1, x2), abs=1e-12)
+    assert ours["scale_y"][0] == pytest.approx(math.hypot(x1, x2) / (1 + delta_k), abs=1e-12)
+    assert "bias_x" not in ours
 
     delta_k, phi, b_x, b_y = by_hand.mmpm(MMPM_DEG, natural(nine).tolist())
-    ours = quantities(fit(nine, "mmpm"))
+    ours = estimates_of(fit(nine, "mmpm"))
     assert ours["delta_k"][0] == pytest.approx(delta_k, abs=1e-12)
-    assert ours["non_orthogonality"][0] == pytest.approx(phi, abs=1e-9)
-    assert (ours["offset_x"][0], ours["offset_y"][0]) == pytest.approx((b_x, b_y), abs=1e-12)
+    assert ours["delta_phi"][0] == pytest.approx(phi, abs=1e-9)
+    assert (ours["bias_x"][0], ours["bias_y"][0]) == pytest.approx((1e3 * b_x, 1e3 * b_y), abs=1e-9)
 
 
 @pytest.mark.parametrize(("fixture_deg", "bias_mg", "noise_mg"), [(0.5, 0.0, 0.16), (0.02, 10.0, 0.5)])
@@ -93,29 +93,27 @@ def test_the_propagated_errors_are_the_scatter_of_the_equations_by_hand(fixture_
         two = [rows[0], by_hand.readings(alpha, k_x, k_y, phi, at_90, *bias)]
         two, rows = (np.array(r) + 1e-3 * noise_mg * rng.standard_normal((len(r), 2)) for r in (two, rows))
         found["paper"].append(by_hand.paper(*two.ravel()))
-        found["mmpm"].append(by_hand.mmpm(MMPM_DEG, rows)[:2])
+        found["mmpm"].append(by_hand.mmpm(MMPM_DEG, rows))
     stated = propagated_errors(fixture_deg, bias_mg, noise_mg)
-    for k, method in enumerate(("paper", "mmpm")):
-        delta_k, delta_phi = np.std(found[method], axis=0)
-        assert stated["delta_k"][k] == pytest.approx(delta_k, rel=0.05)
-        assert math.degrees(stated["delta_phi"][k]) == pytest.approx(delta_phi, rel=0.05)
+    for error, method in zip(stated, ("paper", "mmpm"), strict=True):
+        assert error == pytest.approx(np.std([delta_k for delta_k, *_ in found[method]]), rel=0.05)
+    two, nine = (np.std([delta_phi for _, delta_phi, *_ in found[method]]) for method in found)
+    assert nine < two  # in Δφ the paper's method is never better
 
 
 def test_at_the_crossing_both_methods_have_one_error_of_delta_k():
     for bias in (0.0, 10.0):
-        two, nine = propagated_errors(crossing_deg(bias, 0.16), bias, 0.16)["delta_k"]
+        two, nine = propagated_errors(crossing_deg(bias, 0.16), bias, 0.16)
         assert two == pytest.approx(nine)
 
 
 def test_the_true_delta_k_of_the_paper_is_the_difference_of_its_two_scale_errors():
-    true = true_values("x")
-    assert true["delta_k"] == pytest.approx(true["scale_error_x"] - true["scale_error_y"], abs=2e-4)
+    assert DELTA_K.measured == pytest.approx(TABLE[0].measured - TABLE[1].measured, abs=2e-4)
 
 
 def handmade(paper_deg, ours_deg):
-    true = true_values("x")["non_orthogonality"]
     return {
-        method: {"non_orthogonality": (true + error, 0.1)}
+        method: {"delta_phi": (TABLE[4].measured + error, 0.1)}
         for method, error in (("paper", paper_deg), ("ml", ours_deg))
         if error is not None
     }
@@ -123,7 +121,7 @@ def handmade(paper_deg, ours_deg):
 
 def test_the_spread_is_of_the_sessions_that_a_method_answered():
     results = [handmade(0.6, 0.01), handmade(-0.8, 0.01), handmade(None, 0.5)]
-    spread = Study(1, 3, {"x": results}).spread("x", "paper", "non_orthogonality")
+    spread = Study(1, 3, {"x": results}).spread(TABLE[4], "paper")
     assert spread.sessions == 2
     assert spread.error == pytest.approx(math.sqrt(0.5))
 
@@ -144,4 +142,4 @@ def test_a_method_that_refuses_a_session_has_no_result(monkeypatch):
     monkeypatch.setattr(through_chip, "measured", lambda url, name: None)
     results = through_chip.results_of(url_of(1, "x"))
     assert not results
-    assert Study(1, 1, {"x": [results]}).spread("x", "paper", "delta_k").sessions == 0
+    assert Study(1, 1, {"x": [results]}).spread(DELTA_K, "paper").sessions == 0

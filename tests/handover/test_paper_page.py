@@ -36,17 +36,20 @@ def test_the_table_has_every_printed_number_beside_ours(shown):
         assert row[0].startswith(printed.name)
         shown = [float(row[k].replace("−", "-")) for k in (1, 2, 5, 8)]
         assert shown == [printed.measured, printed.paper, printed.mmpm, printed.specification]
-        assert row[3] == "not determined" if printed.key == "offset" else "(" in row[3]
+        assert row[3] == "not determined" if printed.printed == "Δφ" else "(" in row[3]
         assert "(" in row[6]
 
 
 def test_figure_3_has_three_graphs_with_both_methods_of_both_axes(shown):
     figures = next(s for s in shown if s.title.startswith("Figure 3")).figures
     assert len(figures) == 3
-    for key, figure in zip(dict.fromkeys(row.key for row in TABLE), figures, strict=True):
+    for key, figure in zip(dict.fromkeys(row.printed for row in TABLE), figures, strict=True):
         heights = [float(y) for y in re.findall(r'<use[^>]* y="([\d.]+)"', figure.svg)]
         differences = [
-            printed - row.measured for row in TABLE if row.key == key for printed in (row.paper, row.mmpm)
+            printed - row.measured
+            for row in TABLE
+            if row.printed == key
+            for printed in (row.paper, row.mmpm)
         ]
         assert np.corrcoef(heights[:4], differences)[0, 1] == pytest.approx(-1, abs=1e-4)
         for word in ("X, paper", "X, MMPM", "Y, paper", "Y, MMPM", "printed", "our sessions"):

@@ -24,7 +24,7 @@ import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -34,7 +34,7 @@ from adis_gonio.base import __version__
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import with_progress
 from adis_gonio.base.errors import FitError
-from adis_gonio.base.jsonable import finite
+from adis_gonio.base.jsonable import JsonRecord, json_object
 from adis_gonio.base.numbers import NO_BREAK, counted, format_fixed, format_number, label_quantity
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
@@ -53,22 +53,23 @@ Axis = Literal["x", "y"]
 AXES: tuple[Axis, ...] = ("x", "y")
 
 
-@dataclass(frozen=True)
-class TableRow:
+class TableRow(JsonRecord):
     """One row of table 1 of the paper for one axis, as printed.
 
     Attributes
     ----------
-    key, printed, unit : str
-        Name of the parameter in this package and in the paper, and the unit in which the row is read here.
+    parameter, printed, unit : str
+        Parameter of `fit`, its name in the paper, and the unit in which the row is read here.
     axis : {"x", "y"}
         Axis of the row.
     measured, paper, mmpm, specification : float
         Columns of the table: the measured value, the results by the paper's method and by MMPM, and the
         specification.
+    factor, zero : float
+        The row has (value − zero) · factor of a value that `fit` determines.
     """
 
-    key: str
+    parameter: str
     printed: str
     unit: str
     axis: Axis
@@ -76,54 +77,32 @@ class TableRow:
     paper: float
     mmpm: float
     specification: float
+    factor: float = 1.0
+    zero: float = 0.0
 
     @property
     def name(self) -> str:
         """Name of the parameter and its axis, such as `SF, X`."""
         return f"{self.printed}, {self.axis.upper()}"
 
-    @property
-    def quantity(self) -> str:
-        """Name of the row's quantity in `true_values`; the rows of X and Y share the angle between them."""
-        return self.key if self.key == "non_orthogonality" else f"{self.key}_{self.axis}"
-
 
 TABLE: tuple[TableRow, ...] = (
-    TableRow("scale_error", "SF", "1", "x", 0.0214, 0.0116, 0.0128, 0.0),
-    TableRow("scale_error", "SF", "1", "y", 0.021, 0.0121, 0.0129, 0.0),
-    TableRow("offset", "Δφ", "g", "x", -0.003, -0.0025, -0.003, -0.001),
-    TableRow("offset", "Δφ", "g", "y", -0.0029, -0.0023, -0.003, -0.001),
-    TableRow("non_orthogonality", "N", "deg", "x", 0.0612, 0.051, -0.057, 0.05),
-    TableRow("non_orthogonality", "N", "deg", "y", 0.0673, 0.0514, -0.055, 0.05),
+    TableRow("scale_x", "SF", "1", "x", 0.0214, 0.0116, 0.0128, 0.0, zero=1.0),
+    TableRow("scale_y", "SF", "1", "y", 0.021, 0.0121, 0.0129, 0.0, zero=1.0),
+    TableRow("bias_x", "Δφ", "g", "x", -0.003, -0.0025, -0.003, -0.001, factor=1e-3),
+    TableRow("bias_y", "Δφ", "g", "y", -0.0029, -0.0023, -0.003, -0.001, factor=1e-3),
+    TableRow("delta_phi", "N", "deg", "x", 0.0612, 0.051, -0.057, 0.05),
+    TableRow("delta_phi", "N", "deg", "y", 0.0673, 0.0514, -0.055, 0.05),
 )
 """Rows of table 1 of the paper, which are mean values."""
 
+_MEASURED = {row.name: row.measured for row in TABLE}
+_RATIO = (1 + _MEASURED["SF, X"]) / (1 + _MEASURED["SF, Y"]) - 1
+DELTA_K = TableRow("delta_k", "ΔK", "1", "x", _RATIO, math.nan, math.nan, math.nan)
+"""Row of ΔK, which the paper does not print; the measured value follows from the scales."""
+
 RMSD = {"SF": 0.0033, "Δφ": 0.001}
 """Root mean square deviations that the paper prints with the specifications, by printed name."""
-
-_FROM_FIT = {
-    "scale_error_x": ("scale_x", 1.0, 1.0),
-    "scale_error_y": ("scale_y", 1.0, 1.0),
-    "offset_x": ("bias_x", 1e-3, 0.0),
-    "offset_y": ("bias_y", 1e-3, 0.0),
-    "non_orthogonality": ("delta_phi", 1.0, 0.0),
-    "delta_k": ("delta_k", 1.0, 0.0),
-}
-"""Parameter of `fit`, factor and zero for each quantity of the paper: (value − zero) · factor."""
-
-
-def true_values(column: Axis) -> dict[str, float]:
-    """Return the true values of the seed paper's quantities in the sessions simulated for one axis.
-
-    The paper's table has a column for each axis.
-
-    They are the relative scale errors, the offsets in g, the non-orthogonality in degrees, and ΔK. `column`
-    decides the value of the non-orthogonality.
-    """
-    rows = (row for row in TABLE if row.key != "non_orthogonality" or row.axis == column)
-    true = {row.quantity: row.measured for row in rows}
-    return true | {"delta_k": (1 + true["scale_error_x"]) / (1 + true["scale_error_y"]) - 1}
-
 
 DWELL_S = 1.0
 USES = {
@@ -140,13 +119,12 @@ METHODS = (*USES, TRACED)
 
 def settings_of(column: Axis) -> dict[str, float]:
     """Return the true parameters of the sensors of a column of the table, as settings of the simulator."""
-    true = true_values(column)
     return {
-        "scale_y": 1 + true["scale_error_y"],
-        "delta_k": true["delta_k"],
-        "delta_phi_deg": true["non_orthogonality"],
-        "bias_x_mg": 1000 * true["offset_x"],
-        "bias_y_mg": 1000 * true["offset_y"],
+        "scale_y": 1 + _MEASURED["SF, Y"],
+        "delta_k": DELTA_K.measured,
+        "delta_phi_deg": _MEASURED[f"N, {column.upper()}"],
+        "bias_x_mg": 1000 * _MEASURED["Δφ, X"],
+        "bias_y_mg": 1000 * _MEASURED["Δφ, Y"],
     }
 
 
@@ -177,50 +155,43 @@ def measured(url: str, plan_name: str) -> Session:
         return load_session(path)
 
 
-Quantities = Mapping[str, tuple[float | None, float | None]]
-"""Value and standard uncertainty of each quantity of `true_values`; None if a method does not give it."""
+Estimates = Mapping[str, tuple[float, float]]
+"""Value and standard uncertainty (NaN if it is not stated) of each parameter that a method determines."""
 
 
-def quantities(result: FitResult | TraceResult) -> Quantities:
-    """Return the result of a fit or a trace in the quantities of the paper.
+def estimates_of(result: FitResult | TraceResult) -> Estimates:
+    """Return the parameters of a fit or a trace, with those that the paper's method implies.
 
-    The paper's method gives ΔK and Δφ only. Its scales follow from them: the scale of X from equation 6
-    (the length of (U_x1, U_x2)), the scale of Y from the scale of X and ΔK.
+    The paper's method states ΔK and Δφ only. The scale of X follows from equation 6 (the length of
+    (U_x1, U_x2)), the scale of Y from the scale of X and ΔK.
     """
-    found: dict[str, tuple[float | None, float | None]]
+    stated: dict[str, Any]
     if isinstance(result, TraceResult):
         stated = dict(result.base)
         for finding in result.found:
             stated |= finding.parameters if finding.effect == "bias" else {}
-        found = {name: (value.value, value.u) for name, value in stated.items()}
     else:
-        found = {estimate.name: (estimate.value, estimate.u) for estimate in result.parameters}
-        if result.method == "paper" and result.origin is not None:
-            k_x, k_y = (float(k) for k in result.origin.fit.values.base[1:3])
-            found |= {"scale_x": (k_x, None), "scale_y": (k_y, None)}
-    taken = {}
-    for quantity, (name, factor, zero) in _FROM_FIT.items():
-        value, u = found.get(name, (None, None))
-        taken[quantity] = (
-            None if value is None else (value - zero) * factor,
-            None if u is None else u * factor,
-        )
-    return taken
+        stated = {estimate.name: estimate for estimate in result.parameters}
+    found = {name: (one.value, math.nan if one.u is None else one.u) for name, one in stated.items()}
+    if isinstance(result, FitResult) and result.method == "paper" and result.origin is not None:
+        k_x, k_y = result.origin.fit.values.base[1:3].tolist()
+        found |= {"scale_x": (k_x, math.nan), "scale_y": (k_y, math.nan)}
+    return found
 
 
-Results = Mapping[str, Quantities]
+Results = Mapping[str, Estimates]
 """Values and uncertainties by method for one simulated sensor; a method without a result is missing."""
 
 
 def results_of(url: str, traced: bool = False) -> Results:
     """Record the sessions of one simulated sensor and apply every method; `traced` adds the trace."""
     sessions = {name: measured(url, name) for name in set(USES.values())}
-    found: dict[str, Quantities] = {}
+    found: dict[str, Estimates] = {}
     for method, used in USES.items():
         with suppress(FitError):
-            found[method] = quantities(fit(sessions[used], method))
+            found[method] = estimates_of(fit(sessions[used], method))
     if traced:
-        found[TRACED] = quantities(trace(sessions["mmpm"]))
+        found[TRACED] = estimates_of(trace(sessions["mmpm"]))
     return found
 
 
@@ -228,26 +199,25 @@ COLUMNS = ("paper", "mmpm")
 """Methods that the table compares; their printed values are the fields of `TableRow` with these names."""
 
 
-@dataclass(frozen=True)
-class MethodSpread:
-    """Statistics of one quantity by one method over many sessions.
+class MethodSpread(JsonRecord):
+    """Statistics of one parameter by one method over many sessions; NaN without a result.
 
     Attributes
     ----------
-    mean, spread : float or None
-        Mean and standard deviation of the quantity; None if the method does not determine it.
-    u : float or None
-        Standard uncertainty that the method states, rms over the sessions; None if it states none.
-    error : float or None
-        Deviation of the quantity from its true value, rms over the sessions; None without a result.
+    mean, spread : float
+        Mean and standard deviation of the parameter.
+    u : float
+        Standard uncertainty that the method states, rms over the sessions; NaN if it states none.
+    error : float
+        Deviation of the parameter from its true value, rms over the sessions.
     sessions : int
         Number of sessions with a result.
     """
 
-    mean: float | None = None
-    spread: float | None = None
-    u: float | None = None
-    error: float | None = None
+    mean: float = math.nan
+    spread: float = math.nan
+    u: float = math.nan
+    error: float = math.nan
     sessions: int = 0
 
 
@@ -265,25 +235,18 @@ _MEAN_SQUARE_TANGENT = math.tan(math.radians(GREATEST_ALPHA_DEG)) / math.radians
 """Mean of tan²α over start angles α that are uniform within the range of the simulator."""
 
 
-def propagated_errors(
-    fixture_deg: float, bias_mg: float, noise_mg: float
-) -> dict[str, tuple[float, float]]:
-    """Return the errors of ΔK and of Δφ (rad), each by the paper's method and by MMPM.
+def propagated_errors(fixture_deg: float, bias_mg: float, noise_mg: float) -> tuple[float, float]:
+    """Return the error of ΔK by the paper's method and by MMPM.
 
     They follow by linear propagation from the standard deviations of a declared angle (`fixture_deg`), of
     the bias of an axis (`bias_mg`) and of a reading (`noise_mg`). In the paper's method, from two
-    positions, the error of a declared angle contributes to ΔK with the factor √2 tan α (α is the start
-    angle) and to Δφ with the factor √2. In MMPM, from nine positions, both factors are √(2/9).
+    positions, the error of a declared angle contributes with the factor √2 tan α (α is the start angle). In
+    MMPM, from nine positions, the factor is √(2/9).
     """
-    true = true_values("x")
-    gain = 1 + (true["scale_error_x"] + true["scale_error_y"]) / 2
-    noise, bias = 1e-3 * noise_mg / gain, 1e-3 * bias_mg / gain
-    fixture = math.radians(fixture_deg)
-    two, nine = 2 * (noise**2 + bias**2), 4 / 9 * noise**2 + 2 / 9 * fixture**2
-    return {
-        "delta_k": (math.sqrt(two + 2 * _MEAN_SQUARE_TANGENT * fixture**2), math.sqrt(nine)),
-        "delta_phi": (math.sqrt(two + 2 * fixture**2), math.sqrt(nine)),
-    }
+    gain = 1 + (_MEASURED["SF, X"] + _MEASURED["SF, Y"]) / 2
+    noise, bias, fixture = 1e-3 * noise_mg / gain, 1e-3 * bias_mg / gain, math.radians(fixture_deg)
+    two = 2 * (noise**2 + bias**2) + 2 * _MEAN_SQUARE_TANGENT * fixture**2
+    return math.sqrt(two), math.sqrt(4 / 9 * noise**2 + 2 / 9 * fixture**2)
 
 
 def crossing_deg(bias_mg: float, noise_mg: float) -> float:
@@ -292,7 +255,7 @@ def crossing_deg(bias_mg: float, noise_mg: float) -> float:
     The result is a standard deviation in degrees. The better method has the smaller error of ΔK. `bias_mg`
     and `noise_mg` are the standard deviations of a bias and of a reading.
     """
-    two, nine = propagated_errors(0.0, bias_mg, noise_mg)["delta_k"]
+    two, nine = propagated_errors(0.0, bias_mg, noise_mg)
     return math.degrees(math.sqrt((two**2 - nine**2) / (2 / 9 - 2 * _MEAN_SQUARE_TANGENT)))
 
 
@@ -322,54 +285,42 @@ class Study:
         """Command line that repeats this study with its seed."""
         return f"adis-gonio paper --seed {self.seed} --sessions {self.sessions}"
 
-    def spread(self, axis: Axis, method: str, quantity: str) -> MethodSpread:
-        """Return the statistics of a quantity by a method, over the sensors of the column `axis`.
-
-        All fields but `sessions` are None if the method does not determine the quantity.
-        """
-        rows = [one[method][quantity] for one in self.results[axis] if method in one]
-        values = np.array([value for value, _ in rows if value is not None])
-        stated = np.array([u for value, u in rows if value is not None and u is not None])
-        if not values.size:
+    def spread(self, row: TableRow, method: str) -> MethodSpread:
+        """Return the statistics of the parameter of a row by a method, in the unit of the row."""
+        tried = [one[method] for one in self.results[row.axis] if method in one]
+        stated = np.array([one[row.parameter] for one in tried if row.parameter in one])
+        if not stated.size:
             return MethodSpread()
-        return MethodSpread(
-            float(values.mean()),
-            float(values.std(ddof=1)) if len(values) > 1 else None,
-            rms(stated) if stated.size else None,
-            rms(values - true_values(axis)[quantity]),
-            len(values),
-        )
+        values, u = (stated[:, 0] - row.zero) * row.factor, stated[:, 1] * row.factor
+        sd = float(values.std(ddof=1)) if len(values) > 1 else math.nan
+        return MethodSpread(float(values.mean()), sd, rms(u), rms(values - row.measured), len(values))
 
-    def ours(self, axis: Axis, quantity: str) -> dict[str, MethodSpread]:
-        """Return the statistics of a quantity by each method, over the sensors of the column `axis`."""
-        return {method: self.spread(axis, method, quantity) for method in METHODS}
+    def by_method(self, row: TableRow) -> dict[str, MethodSpread]:
+        """Return the statistics of the parameter of a row by each method."""
+        return {method: self.spread(row, method) for method in METHODS}
 
     def as_dict(self) -> dict[str, Any]:
         """Return the JSON document that `adis-gonio paper --json` prints."""
-        rows = [
-            {"name": row.name, **asdict(row), "sessions": self.ours(row.axis, row.quantity)}
-            for row in TABLE
-        ]
-        document = {
-            "command": f"{self.command} --json",
-            "software": f"adis-gonio {__version__}",
-            "seed": self.seed,
-            "sessions": self.sessions,
-            "dwell_s": DWELL_S,
-            "truth": {f"column_{column}": settings_of(column) for column in AXES},
-            "table_1": {
-                "rows": rows,
-                "delta_k": self.ours("x", "delta_k"),
+        return json_object(
+            command=f"{self.command} --json",
+            software=f"adis-gonio {__version__}",
+            seed=self.seed,
+            sessions=self.sessions,
+            dwell_s=DWELL_S,
+            truth={f"column_{column}": settings_of(column) for column in AXES},
+            table_1={
+                "rows": [
+                    {"name": row.name, **row.as_dict(), "sessions": self.by_method(row)} for row in TABLE
+                ],
+                "delta_k": self.by_method(DELTA_K),
                 "rmsd_of_the_specification": RMSD,
             },
-            "crossing_of_delta_k": [
+            crossing_of_delta_k=[
                 {"bias_mg": bias, "noise_mg": noise, "fixture_deg": crossing_deg(bias, noise)}
                 for noise in NOISES_MG
                 for bias in BIASES_MG
             ],
-        }
-        found: dict[str, Any] = finite(document)
-        return found
+        )
 
 
 def reproduce(seed: int = 0, sessions: int = SESSIONS) -> Study:
@@ -418,8 +369,8 @@ def sections(done: Study) -> tuple[Section, ...]:
 def verdicts(done: Study) -> tuple[str, ...]:
     """Return sentences that state the results of the study."""
     nearer = sum(abs(row.paper - row.measured) < abs(row.mmpm - row.measured) for row in TABLE)
-    angle = next(row for row in TABLE if row.key == "non_orthogonality")
-    theirs, nine = (format_number(done.spread("x", method, angle.quantity).error, 2) for method in COLUMNS)
+    angle = TABLE[4]
+    theirs, nine = (format_number(done.spread(angle, method).error, 2) for method in COLUMNS)
     return (
         f"For ΔK the paper's method overtakes MMPM from a fixture error of {crossing_deg(0, 0.16):.2g}°"
         f" without bias, and of {crossing_deg(10, 0.16):.2g}° with biases of 10 mg.",
@@ -437,11 +388,11 @@ def _table(done: Study) -> Section:
     for row in TABLE:
         texts = [label_quantity(row.name, row.unit), format_fixed(row.measured, 4)]
         for method in COLUMNS:
-            one = done.spread(row.axis, method, row.quantity)
-            spread = f"{NO_BREAK}({format_fixed(one.spread or 0.0, 4)})"
+            one = done.spread(row, method)
+            ours = f"{format_fixed(one.mean, 4)}{NO_BREAK}({format_fixed(one.spread, 4)})"
             texts += [
                 format_fixed(getattr(row, method), 4),
-                "not determined" if one.mean is None else format_fixed(one.mean, 4) + spread,
+                ours if one.sessions else "not determined",
                 format_fixed(one.u, 4),
             ]
         rows.append([*texts, format_fixed(row.specification, 4)])
@@ -466,35 +417,24 @@ def _table(done: Study) -> Section:
 
 def _figure_3(done: Study) -> Section:
     figures = []
-    for name, printed, unit in dict.fromkeys((row.key, row.printed, row.unit) for row in TABLE):
-        rows = [row for row in TABLE if row.key == name]
-        at = [
-            (2.5 * k + place, row, method, done.spread(row.axis, method, row.quantity))
-            for k, row in enumerate(rows)
-            for place, method in enumerate(COLUMNS)
-        ]
+    at = np.array([0.0, 1.0, 2.5, 3.5])  # both methods of X, then of Y
+    for rows in zip(TABLE[::2], TABLE[1::2], strict=True):
+        printed, pairs = rows[0].printed, [(row, method) for row in rows for method in COLUMNS]
+        ours = [done.spread(row, method) for row, method in pairs]
+        theirs = [getattr(row, method) - row.measured for row, method in pairs]
+        mean = np.nan_to_num([one.mean for one in ours]) - [row.measured for row, _ in pairs]
+        spread = np.nan_to_num([one.spread for one in ours])
         series = [
-            Series(
-                [x - 0.12 for x, *_ in at],
-                [getattr(row, method) - row.measured for _, row, method, _ in at],
-                "printed",
-                role="before",
-            ),
-            Series(
-                [x + 0.12 for x, *_ in at],
-                [(ours.mean or 0.0) - row.measured for _, row, _, ours in at],
-                "our sessions",
-                error=[ours.spread or 0.0 for *_, ours in at],
-                role="after",
-            ),
+            Series(at - 0.12, theirs, "printed", role="before"),
+            Series(at + 0.12, mean, "our sessions", error=spread, role="after"),
         ]
         svg = plot(
             series,
             "",
-            label_quantity(f"difference of {printed}", unit),
+            label_quantity(f"difference of {printed}", rows[0].unit),
             title=f"Differences of {printed}",
             description=f"Printed and simulated differences of {printed} for X and Y by both methods.",
-            x_ticks={0.0: "X, paper", 1.0: "X, MMPM", 2.5: "Y, paper", 3.5: "Y, MMPM"},
+            x_ticks=dict(zip(at, ("X, paper", "X, MMPM", "Y, paper", "Y, MMPM"), strict=True)),
             x_range=(-0.6, 4.1),
             zero=True,
         )
