@@ -23,13 +23,21 @@ def measured(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def traced(measured):
-    return trace(load_session(measured))
+def session(measured):
+    return load_session(measured)
 
 
-def test_the_twin_of_a_simulated_session_agrees_with_it_and_has_its_effects(measured, traced):
-    session = load_session(measured)
-    twin = simulate_like(session, traced.fits[-1], seed=1)
+@pytest.fixture(scope="module")
+def traced(session):
+    return trace(session)
+
+
+@pytest.fixture(scope="module")
+def twin(session, traced):
+    return simulate_like(session, traced.fits[-1], seed=1)
+
+
+def test_the_twin_of_a_simulated_session_agrees_with_it_and_has_its_effects(session, traced, twin):
     assert [dwell.angle_deg for dwell in twin.dwells] == [dwell.angle_deg for dwell in session.dwells]
     found = compare(session, twin, traced.fits[-1])
     assert found.agrees, found
@@ -40,8 +48,7 @@ def test_the_twin_of_a_simulated_session_agrees_with_it_and_has_its_effects(meas
     assert value.value == pytest.approx(3.0, abs=5 * value.u + 0.3)
 
 
-def test_a_model_that_lacks_the_effect_makes_a_twin_that_does_not_agree(measured, traced):
-    session = load_session(measured)
+def test_a_model_that_lacks_the_effect_makes_a_twin_that_does_not_agree(session, traced):
     final = traced.fits[-1]
     kept = [k for k, term in enumerate(final.terms) if term.name == "bias"]
     lacking = final.with_terms([final.terms[k] for k in kept], [final.values.terms[k] for k in kept])
@@ -49,9 +56,32 @@ def test_a_model_that_lacks_the_effect_makes_a_twin_that_does_not_agree(measured
     assert not compare(session, twin, lacking).agrees
 
 
-def test_a_session_with_other_noise_does_not_agree(measured, traced):
-    session = load_session(measured)
-    twin = simulate_like(session, traced.fits[-1], seed=1)
+def test_a_twin_is_measured_at_the_times_temperatures_and_voltages_of_the_session(session, traced):
+    dwells = []
+    for k, dwell in enumerate(session.dwells[:6]):
+        time_s = dwell.time_s + 2 * k  # time enough for each move of the stage
+        dwells.append(
+            replace(dwell, time_s=time_s, temperature_c=20 + 0.1 * time_s, supply_v=4.9 + 2e-3 * time_s)
+        )
+    twin = simulate_like(replace(session, dwells=tuple(dwells)), traced.fits[-1], seed=1)
+    for dwell, simulated in zip(dwells, twin.dwells, strict=True):
+        assert simulated.time_s == pytest.approx(dwell.time_s, abs=0.3)
+        assert simulated.temperature_c.mean() == pytest.approx(dwell.temperature_c.mean(), abs=0.05)
+        assert simulated.supply_v.mean() == pytest.approx(dwell.supply_v.mean(), abs=1e-3)
+
+
+def test_a_session_agrees_with_itself_entirely(session, traced):
+    found = compare(session, session, traced.fits[-1])
+    assert (found.p_residual, found.p_variance, found.allan_ratio) == pytest.approx((1, 1, 1))
+
+
+def test_as_many_readings_as_parameters_leave_nothing_to_compare(session, traced):
+    two = replace(session, dwells=session.dwells[:2])
+    with pytest.raises(DataError, match="no residual to compare"):
+        compare(two, two, traced.fits[-1])
+
+
+def test_a_session_with_other_noise_does_not_agree(session, traced, twin):
     rng = np.random.default_rng(3)
     louder = tuple(
         replace(dwell, accel=dwell.accel + rng.normal(0, 12, dwell.accel.shape)) for dwell in session.dwells
@@ -76,8 +106,7 @@ def test_simulate_like_writes_the_twin_as_a_samples_csv(capsys, measured, tmp_pa
     assert "name it .csv" in capsys.readouterr().err
 
 
-def test_readings_that_somebody_averaged_have_no_noise_to_copy(measured, traced):
-    session = load_session(measured)
+def test_readings_that_somebody_averaged_have_no_noise_to_copy(session, traced):
     single = tuple(
         replace(
             dwell,
@@ -102,8 +131,7 @@ def test_the_report_holds_the_comparison(measured, tmp_path):
 
 
 @pytest.mark.filterwarnings("error")
-def test_an_axis_without_noise_does_not_decide_on_the_filter(measured):
-    session = load_session(measured)
+def test_an_axis_without_noise_does_not_decide_on_the_filter(session):
     still = tuple(
         replace(dwell, accel=np.where([True, False, False], dwell.accel, dwell.accel[0]))
         for dwell in session.dwells

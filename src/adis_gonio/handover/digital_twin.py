@@ -288,7 +288,7 @@ def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
     fit = traced.on(data)
     noise = noise_of(session, data.unit)
     world = LikeWorld(fit, noise, sensor=session.sensor, seed=seed, offset_s=_OPENING_S)
-    bus = SimBus(world=world, stream=True)
+    bus = SimBus(world=world)
     begin_s = float(session.dwells[0].time_s[0])
     period_s = sample_period_s(noise.smpl_prd)
     dwells: list[Dwell] = []
@@ -384,7 +384,7 @@ def compare(measured: Session, twin: Session, traced: Fit) -> TwinComparison:
     data = [readings_of(session) for session in sessions]
     ours, twins = (Fit.begin(one).with_terms(traced.terms, traced.values.terms).refit() for one in data)
     residual = (_residual(ours), _residual(twins))
-    if not all(part.size for part in residual):
+    if min(ours.dof, twins.dof) <= 0 or not all(part.size for part in residual):
         raise DataError(
             "there are no more readings than parameters, so that there is no residual to compare"
         )
@@ -400,15 +400,12 @@ def compare(measured: Session, twin: Session, traced: Fit) -> TwinComparison:
     logs = [
         np.interp(np.log(tau_s[inside]), np.log(other_s), np.log(np.maximum(one, least))) for one in other.T
     ]
-    p_variance = 1.0
-    if ours.dof > 0 and twins.dof > 0:
-        ratio = (ours.chi2 / ours.dof) / max(twins.chi2 / twins.dof, 1e-300)
-        below = float(fdtr(ours.dof, twins.dof, ratio))
-        p_variance = 2 * min(below, 1 - below)
+    ratio = (ours.chi2 / ours.dof) / (twins.chi2 / twins.dof)
+    below = float(fdtr(ours.dof, twins.dof, ratio))
     return TwinComparison(
         residual,
         _p_same_distribution(*residual),
-        p_variance,
+        2 * min(below, 1 - below),
         tau_s[inside],
         (allan[inside], np.exp(np.stack(logs, axis=1))),
     )
