@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -80,8 +82,6 @@ class Recording:
     _blocks: list[Block] = field(default_factory=list)
     _times: Floats = field(default_factory=lambda: np.empty(0))
     _still_s: float | None = None
-    _begin_s: float = 0.0
-    _stop: int | None = None
 
     @property
     def begun(self) -> bool:
@@ -96,39 +96,31 @@ class Recording:
     @property
     def samples(self) -> int:
         """Number of samples of the dwell so far."""
-        if self.begin is None:
-            return 0
-        return (self._count if self._stop is None else self._stop) - self.begin
+        begin, stop = np.searchsorted(self._times, self._span_s)
+        return int(stop - begin)
 
     @property
     def lost(self) -> int:
         """Number of scans lost within the dwell, in all blocks with a sample of the dwell."""
-        begin, stop = self._span
-        ends = np.cumsum([len(block) for block in self._blocks]).tolist()
-        return sum(
-            block.lost
-            for block, end in zip(self._blocks, ends, strict=True)
-            if max(begin, end - len(block)) < min(stop, end)
-        )
+        begin_s, end_s = self._span_s
+        within = (b for b in self._blocks if b.time_s[-1] >= begin_s and b.time_s[0] < end_s)
+        return sum(block.lost for block in within)
 
     @property
     def waited_s(self) -> float:
         """Time from the first scan to the newest scan, in s."""
-        return float(self._times[-1] - self._times[0]) if self._count else 0.0
+        return float(self._times[-1] - self._times[0]) if len(self._times) else 0.0
 
     @property
     def elapsed_s(self) -> float:
         """Length of the dwell so far, in s."""
-        return min(float(self._times[-1]) - self._begin_s, self.dwell_s) if self.begun else 0.0
+        return min(float(self._times[-1]) - self._span_s[0], self.dwell_s) if self.begun else 0.0
 
     def add(self, block: Block) -> None:
         """Add the next block of scans."""
-        if not len(block):
-            return
-        self._blocks.append(block)
-        self._times = np.concatenate([self._times, block.time_s])
-        if self.begun and self._stop is None:
-            self._find_stop()
+        if len(block):
+            self._blocks.append(block)
+            self._times = np.concatenate([self._times, block.time_s])
 
     def moving(self, why: str) -> None:
         """Note that the sensor moved in a window before the dwell; `why` states the reason."""
@@ -144,20 +136,18 @@ class Recording:
         """Begin the dwell if the sensor has settled; return True if this call began it."""
         if self.begun or self._still_s is None:
             return False
-        first = self._first_sample(self._still_s + self.settle_s)
-        if first is None:
-            return False
-        self.begin = first
-        self._begin_s = float(self._times[first])
-        self._find_stop()
-        return True
+        first = int(np.searchsorted(self._times, self._still_s + self.settle_s))
+        if first < len(self._times):
+            self.begin = first
+        return self.begun
 
     def complete(self, checked: int) -> bool:
         """Return True if the last sample was read, and the sensor was checked to be still up to it.
 
         `checked` is the number of samples that were checked.
         """
-        return self._stop is not None and checked >= self._stop
+        stop = int(np.searchsorted(self._times, self._span_s[1]))
+        return stop < len(self._times) and checked >= stop
 
     def scans(self) -> Block:
         """Return the scans of the dwell as one block."""
@@ -176,47 +166,30 @@ class Recording:
         )
 
     @property
-    def _count(self) -> int:
-        """Number of samples of the attempt so far."""
-        return len(self._times)
-
-    def _find_stop(self) -> None:
+    def _span_s(self) -> tuple[float, float]:
+        """Times in s at which the dwell begins and ends; infinite before it has begun."""
+        if self.begin is None:
+            return math.inf, math.inf
+        begin_s = float(self._times[self.begin])
         # Half a period early, so that rounding of times cannot add or drop a sample.
-        self._stop = self._first_sample(self._begin_s + self.dwell_s - 0.5 * self.period_s)
-
-    def _first_sample(self, at_s: float) -> int | None:
-        """Return the index of the first sample at or after the time `at_s`; None if it is not read yet."""
-        index = int(np.searchsorted(self._times, at_s))
-        return index if index < self._count else None
-
-    @property
-    def _span(self) -> tuple[int, int]:
-        """Indices of the first sample of the dwell and after it; the number of samples if not known yet."""
-        begin = self._count if self.begin is None else self.begin
-        return begin, self._count if self._stop is None else self._stop
+        return begin_s, begin_s + self.dwell_s - 0.5 * self.period_s
 
     def _pieces(self) -> list[tuple[Phase, Block]]:
         """Return the blocks, split at the begin and the end of the dwell, each part with its phase.
 
-        The phases are `before`, `dwell` and `after`.
-
-        All scans lost in a block that is split count as lost in the dwell.
+        The phases are `before`, `dwell` and `after`. All scans lost in a block that is split count as lost
+        in the dwell.
         """
-        begin, stop = self._span
+        phases: tuple[Phase, ...] = ("before", "dwell", "after")
         pieces: list[tuple[Phase, Block]] = []
-        index = 0
         for block in self._blocks:
-            edges = [min(max(edge - index, 0), len(block)) for edge in (0, begin, stop, self._count)]
-            parts: list[tuple[Phase, int, int]] = [
-                ("before", edges[0], edges[1]),
-                ("dwell", edges[1], edges[2]),
-                ("after", edges[2], edges[3]),
+            begin, stop = np.searchsorted(block.time_s, self._span_s).tolist()
+            edges = pairwise((0, begin, stop, len(block)))
+            parts = [
+                (phase, low, high) for phase, (low, high) in zip(phases, edges, strict=True) if high > low
             ]
-            parts = [part for part in parts if part[2] > part[1]]
-            lossy = "dwell" if any(part[0] == "dwell" for part in parts) else parts[0][0]
-            for phase, low, high in parts:
-                pieces.append((phase, cut(block, low, high, counted=phase == lossy)))
-            index += len(block)
+            lossy = "dwell" if stop > begin else parts[0][0]
+            pieces += [(phase, cut(block, low, high, counted=phase == lossy)) for phase, low, high in parts]
         return pieces
 
 
