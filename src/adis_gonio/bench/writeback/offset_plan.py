@@ -12,11 +12,11 @@ planned in the same way, in °/s.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import field, replace
 from typing import TYPE_CHECKING, Any
 
 from adis_gonio.base.errors import SessionError
-from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.base.jsonable import HIDDEN, NAMED_BY_UNIT, JsonRecord, key
 from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF, VARIANTS, variant
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.records import Session
@@ -32,8 +32,7 @@ UNITS = {"mg": "mg", "dps": "°/s"}
 BIASES = tuple(f"bias_{axis}" for axis in AXES)
 
 
-@dataclass(frozen=True)
-class AxisPlan:
+class AxisPlan(JsonRecord):
     """The planned number for the offset register of one axis.
 
     Attributes
@@ -55,14 +54,14 @@ class AxisPlan:
 
     axis: str
     register: str
-    bias: float
-    u: float
+    bias: float = field(metadata=NAMED_BY_UNIT)
+    u: float = field(metadata={**NAMED_BY_UNIT, **key("bias_u")})
     recorded: int
     now: int
     new: int
-    lsb: float
+    lsb: float = field(metadata=NAMED_BY_UNIT)
     clipped: bool
-    unit: str = "mg"
+    unit: str = field(default="mg", metadata=HIDDEN)
 
     @property
     def effect(self) -> float:
@@ -82,21 +81,12 @@ class AxisPlan:
     def as_dict(self) -> dict[str, Any]:
         """Return the plan for one axis in JSON form."""
         row, unit = BY_NAME[self.register], self.unit
-        return {
-            "axis": self.axis,
-            "register": self.register,
-            f"bias_{unit}": self.bias,
-            f"bias_u_{unit}": self.u,
-            "recorded": self.recorded,
-            "now": self.now,
-            "new": self.new,
+        return super().as_dict() | {
             "now_word": row.word(self.now),
             "new_word": row.word(self.new),
-            f"lsb_{unit}": self.lsb,
             f"effect_{unit}": self.effect,
             f"bias_now_{unit}": self.bias_now,
             f"bias_after_{unit}": self.bias_after,
-            "clipped": self.clipped,
         }
 
 
