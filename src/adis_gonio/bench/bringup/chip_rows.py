@@ -21,7 +21,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -190,9 +190,6 @@ class RecordedChip:
         self.waits: dict[str, list[tuple[float, bool]]] = {}
         self.nulls: list[tuple[int, str]] = []
         self.edges: list[Integers] = []
-        # Contents by name as far as they are known, and names of the registers read since they changed.
-        self._contents: dict[str, int] = {}
-        self._verified: set[str] = set()
         self.spans = [RegisterSpan(-math.inf, {})]
         self._edge_rises = edge_rises
         self._listed: list[Register | None] = []
@@ -227,8 +224,8 @@ class RecordedChip:
     def _follow(self, calls: Iterable[Call]) -> None:
         for call in _in_batches(calls):
             if call.name in ("exchange", "frame") and call.frames is not None:
-                if call.result is None:
-                    self._contents.clear()
+                if call.result is None:  # the frames may have reached the chip
+                    self._new_span(call.begin_s, lost=self.spans[-1].image)
                     continue
                 times, words = call.read_words()
                 self._batch(times, call.frames.astype(np.int64), words)
@@ -304,10 +301,8 @@ class RecordedChip:
             self._testing = None if ready else self._testing
         self.reads.append((row, word))
         held = word & row.write_mask
-        self._contents[row.name] = held
-        self._verified.add(row.name)
         if self.spans[-1].image.setdefault(row.name, held) != held:
-            self._new_span(time_s)
+            self._new_span(time_s, {row.name: held})
         self.spans[-1].verified.add(row.name)
 
     # -- changes ------------------------------------------------------------------------------------------
@@ -323,31 +318,31 @@ class RecordedChip:
             return
         shift = 8 if high else 0
         mask = row.write_mask & 0xFF << shift
-        old = self._contents.get(row.name)
+        old = self.spans[-1].image.get(row.name)
         if row is _MISC and shift and byte << 8 & SELF_TEST:
             self._testing = time_s
-        self._verified.discard(row.name)
+        changed = {}
         if old is not None:  # otherwise the content is known when it is read
             word = old & ~mask & row.write_mask | byte << shift & mask
-            self._contents[row.name] = word
+            changed[row.name] = word
             if reply >= 0:
                 self.after_writes.append((frame, word, reply_before, reply))
-        self._new_span(time_s)
+        self._new_span(time_s, changed)
 
     def _command(self, name: str, time_s: float) -> None:
         nulled = GYRO_OFF if "null" in name else ()
-        lost = {"reset": [*self._contents], "restore": [*GYRO_OFF, *ACCEL_OFF]}.get(name, nulled)
-        for key in lost:  # they are known again when they are read
-            self._contents.pop(key, None)
+        lost = {"reset": self.spans[-1].image, "restore": (*GYRO_OFF, *ACCEL_OFF)}.get(name, nulled)
         self._pending = name, time_s
         self._testing = None
-        self._new_span(time_s)
+        self._new_span(time_s, lost=lost)  # their contents are known again when they are read
         if "null" in name:
             self.nulls.append((len(self.spans) - 1, name))
 
-    def _new_span(self, time_s: float) -> None:
+    def _new_span(self, time_s: float, changed: Mapping[str, int] = {}, lost: Collection[str] = ()) -> None:
+        """Begin a span at a time in s, with the new contents `changed` by name; `lost` are not known."""
         before = self.spans[-1]
-        span = RegisterSpan(time_s, dict(self._contents), time_s, self._verified & self._contents.keys())
+        image = {name: word for name, word in before.image.items() if name not in lost} | dict(changed)
+        span = RegisterSpan(time_s, image, time_s, before.verified & image.keys() - changed.keys())
         if self._pending is None and span.settings(*READING_BITS) == before.settings(*READING_BITS):
             span.changed_s = before.changed_s
         self.spans.append(span)
@@ -671,22 +666,16 @@ def _after_filter(chip: RecordedChip, part: Variant) -> Iterator[RowFigure]:
     1 if the offset acts after the filter, and 0 if it acts before.
     """
     ratio = float(np.median([figure.x for figure in _accel_steps(chip, part)] or [1.0]))
+    unknown = RegisterSpan(-math.inf, {})
     level: dict[str, tuple[RegisterSpan, float, float]] = {}
     for span in chip.spans:
         for name, out in zip(ACCEL_OFF, ACCEL_OUT, strict=True):
-            first, (before, mean, sigma) = span.first(out), level.get(out, (None, 0.0, 0.0))
+            first, (before, mean, sigma) = span.first(out), level.get(out, (unknown, 0.0, 0.0))
             _, numbers = span.settled(out)
             if len(numbers) >= 8:
                 level[out] = span, float(numbers.mean()), float(numbers.std())
-            alike = before and span.settings("SENS_AVG", "MSC_CTRL") == before.settings(
-                "SENS_AVG", "MSC_CTRL"
-            )
-            if (
-                not alike
-                or before is None
-                or first is None
-                or name not in before.image.keys() & span.image.keys()
-            ):
+            alike = span.settings("SENS_AVG", "MSC_CTRL") == before.settings("SENS_AVG", "MSC_CTRL")
+            if first is None or not alike or name not in before.image.keys() & span.image.keys():
                 continue
             changed = BY_NAME[name].number(span.image[name]) - BY_NAME[name].number(before.image[name])
             passed = (first[0] - span.begin_s) / span.period_s
