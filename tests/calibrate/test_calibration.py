@@ -14,6 +14,7 @@ from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.calibrate import Coefficient, EffectTerm
 from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.fitting.methods import fit_readings
+from adis_gonio.handover.register_offsets import offset_words
 from adis_gonio.model.effects import effect
 from adis_gonio.record.provenance import Covered, Provenance
 from calibrate.sessions import (
@@ -209,6 +210,28 @@ def test_two_positions_say_which_bias_was_assumed_and_give_angles_by_the_ratio(m
     assert {"bias_x", "bias_y"} <= set(calibration.assumed)
     accel = read_mg(turn(PSI), gains=(1.01, 0.99), axes=plane_axes(0.05), bias=(0.0, 0.0))
     assert np.abs(wrapped(calibration.angle(accel).angle_deg - PSI)).max() < 0.05
+
+
+@pytest.mark.parametrize("method", ["paper", "two-position"])
+def test_u_of_an_angle_from_two_positions_covers_the_biases_that_they_do_not_show(method):
+    rng = np.random.default_rng(7)
+    parts = []
+    for _ in range(40):
+        bias = tuple(10.0 * rng.standard_normal(2))  # initial bias of the ADIS16354, 1 sigma (D)
+        session = planar_session(rng, alpha_deg=5.0, delta_phi_deg=0.05, bias=bias, angles_deg=(0, 90))
+        result = adis_gonio.fit(replace(session, sensor="adis16354"), method=method)
+        accel = read_mg(turn(PSI), gains=(1.01, 0.99), axes=plane_axes(0.05), bias=bias)
+        shown = result.calibration().angle(accel)
+        parts.append(wrapped(shown.angle_deg - PSI) / shown.u_deg)
+    rms = np.sqrt(np.mean(np.square(parts), axis=0))
+    # 80 draws: a standard deviation is known to 11 % at best.
+    assert np.all((rms > 0.6) & (rms < 1.5))
+
+
+def test_offsets_for_the_registers_are_refused_if_the_biases_were_taken_as_zero():
+    session = replace(planar_session(np.random.default_rng(7), angles_deg=(0, 90)), sensor="adis16354")
+    with pytest.raises(FitError, match="does not determine bias_x"):
+        offset_words(adis_gonio.fit(session, method="two-position").calibration())
 
 
 def test_one_reading_gives_one_angle_and_z_of_a_planar_part_takes_no_part():

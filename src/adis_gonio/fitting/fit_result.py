@@ -515,6 +515,9 @@ def calibration_as_recorded(result: FitResult) -> Calibration:
     matrix = None if result.covariance is None else result.covariance[np.ix_(rows, rows)]
     parameters = tuple(Coefficient.of(name, estimates[name]) for name in names)
     assumed = assumed_parameters(model, names)
+    if matrix is not None and result.origin is not None and result.origin.sources is not None:
+        held, matrix = _with_held_biases(result.origin, [given[row] for row in rows], assumed)
+        parameters += held
     scales = [estimates[f"scale_{axis}"].value for axis in AXES[: model.axes]] if where.counts else []
     counts = tuple(scale / MG_PER_MPS2 for scale in scales) or None
     return Calibration(
@@ -525,6 +528,39 @@ def calibration_as_recorded(result: FitResult) -> Calibration:
         assumed=assumed,
         counts_per_mg=counts,
     )
+
+
+def _with_held_biases(
+    made: Origin, given: Sequence[str], assumed: Sequence[str]
+) -> tuple[tuple[Coefficient, ...], Floats]:
+    """Return the biases that a fit took as zero, and the joint covariance of parameters and biases.
+
+    An error of such a bias moves the parameters and also each further reading, so that an angle has the
+    right uncertainty only with both. A bias of a size that nothing states is left out.
+
+    Parameters
+    ----------
+    made : Origin
+        Origin of the result, with known sources of uncertainty.
+    given : sequence of str
+        Names of the result's parameters, in the order of the covariance.
+    assumed : sequence of str
+        Names of the parameters that the session does not determine.
+    """
+    assert made.sources is not None
+    axes = made.readings.axes
+    outputs = {output.name: output.gradient for output in made.outputs}
+    gradient = np.stack([outputs[name] for name in given])
+    # The bias is zero in the model: its error is the negative change of a further reading.
+    roots = made.sources.roots(
+        np.pad(gradient, ((0, axes), (0, 0))), np.pad(-np.eye(axes), ((len(given), 0), (0, 0)))
+    )
+    matrix = np.asarray(roots @ roots.T)
+    u = np.sqrt(np.diag(matrix)[len(given) :])
+    held = [k for k, axis in enumerate(AXES[:axes]) if f"bias_{axis}" in assumed and u[k] > 0]
+    kept = [*range(len(given)), *(len(given) + k for k in held)]
+    biases = tuple(Coefficient(f"bias_{AXES[k]}", 0.0, float(u[k]), "mg") for k in held)
+    return biases, matrix[np.ix_(kept, kept)]
 
 
 def as_written(calibration: Calibration) -> Calibration:

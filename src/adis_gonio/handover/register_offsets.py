@@ -101,7 +101,7 @@ def offset_words(calibration: Calibration) -> tuple[OffsetWord, ...]:
             f"offset registers belong to an ADIS16350, 54 or 55; this session is of a {where.sensor} sensor"
         )
     names = [f"bias_{axis}" for axis in AXES[: calibration.axes]]
-    missing = [name for name in names if name not in calibration]
+    missing = [name for name in names if name not in calibration or name in calibration.assumed]
     if missing:
         raise FitError(
             f"the session does not determine {missing[0]}: measure the opposite positions too "
