@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
 from adis_gonio.base.numbers import NAMES, counted, format_percent, label_quantity
 from adis_gonio.fleet import fleet_summary, sensor_history
 from adis_gonio.fleet.fleet_summary import GROUPS, Distribution, Summary
@@ -77,7 +76,7 @@ def _parameters(summary: Summary) -> Section:
     table = Table(
         fleet_summary.PARAMETER_HEAD, fleet_summary.parameter_rows(summary), numeric=tuple(range(2, 8))
     )
-    figures = [_histogram(one, summary.table[one.name]) for one in summary.parameters]
+    figures = [_histogram(one) for one in summary.parameters]
     return Section(
         "Parameters",
         tables=[table] if summary.parameters else [],
@@ -86,12 +85,9 @@ def _parameters(summary: Summary) -> Section:
     )
 
 
-def _histogram(one: Distribution, values: Floats) -> Figure | None:
-    """Plot a histogram of one quantity over the sessions; None for fewer than five sessions.
-
-    `values` (n,) are the values of the quantity, NaN where unknown.
-    """
-    x = values[np.isfinite(values)]
+def _histogram(one: Distribution) -> Figure | None:
+    """Plot a histogram of one quantity over the sessions; None for fewer than five sessions."""
+    x = one.values
     width = 2 * (one.quantiles["75"] - one.quantiles["25"]) / len(x) ** (1 / 3)
     if len(x) < 5 or not width > 0:
         return None

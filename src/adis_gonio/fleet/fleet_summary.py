@@ -10,7 +10,7 @@ group by chance (Bonferroni). The most outlying group is named and removed befor
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -36,7 +36,7 @@ from adis_gonio.base.numbers import (
     with_unit,
 )
 from adis_gonio.base.uncertainty import OUTLYING, wilson
-from adis_gonio.fleet.session_record import QUANTITIES, Row, Table, table_of
+from adis_gonio.fleet.session_record import QUANTITIES, Row
 
 PROBABILITIES = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 
@@ -78,6 +78,8 @@ class Distribution(JsonRecord):
         Quantiles by probability in percent, such as `50`.
     low, high : float
         Smallest and largest value.
+    values : (n,) float
+        The values, for figures.
     """
 
     name: str = field(metadata=HIDDEN)
@@ -89,16 +91,17 @@ class Distribution(JsonRecord):
     quantiles: dict[str, float]
     low: float
     high: float
+    values: Floats = field(metadata=HIDDEN, repr=False, compare=False)
 
     @classmethod
     def of(cls, name: str, unit: str, values: Floats) -> Distribution:
-        """Compute the statistics of values (n,), NaN if unknown; at least one is finite."""
+        """Compute the statistics of values (m,), NaN if unknown; at least one is finite."""
         values = values[np.isfinite(values)]
         probable = np.quantile(values, PROBABILITIES)
         quantiles = {f"{100 * p:g}": float(q) for p, q in zip(PROBABILITIES, probable, strict=True)}
         sd = float(values.std(ddof=1)) if len(values) > 1 else math.nan
-        ends = float(values.min()), float(values.max())
-        return cls(name, unit, len(values), float(values.mean()), sd, robust_sd(values), quantiles, *ends)
+        middle, low, high = (float(find(values)) for find in (np.mean, np.min, np.max))
+        return cls(name, unit, len(values), middle, sd, robust_sd(values), quantiles, low, high, values)
 
 
 FEWEST_UNITS = 5
@@ -427,8 +430,6 @@ class Summary:
     effects: tuple[Frequency, ...]
     tests: int
     outlying: tuple[Outlying, ...]
-    table: Table = field(repr=False, compare=False, default_factory=dict)
-    """Columns of the table of all sessions, for figures."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return the JSON document of the summary."""
@@ -448,93 +449,106 @@ def summarise(rows: Sequence[Row]) -> Summary:
 
     Each row has the columns `session_record.COLUMNS`.
     """
-    table = table_of(rows)
-    ok = table["status"] == "ok"
-    failed = np.flatnonzero(~ok)
+    rows = sorted(rows, key=lambda row: row["path"] or "")
+    names = {kind: _texts(rows, column) for kind, column in GROUPS.items()}
     # Equal names get equal numbers, and an empty name gets -1.
     groups = {
-        kind: np.where(table[column] == "", -1, np.unique(table[column], return_inverse=True)[1])
-        for kind, column in GROUPS.items()
+        kind: np.where(texts == "", -1, np.unique(texts, return_inverse=True)[1])
+        for kind, texts in names.items()
     }
-    traced = ok & (table["traced"] == 1)
-    frequencies = [Frequency(name, int(flags.sum()), int(traced.sum())) for name, flags in _effects(table)]
-    tests, found = outlying(_comparisons(table, groups, traced))
-    return Summary(
-        _counts(table, groups, ok, traced),
-        tuple((str(table["path"][k]), str(table["reason"][k])) for k in failed),
-        tuple(Distribution.of(name, QUANTITIES[name], table[name]) for name in _quantities(table)),
-        tuple(sorted(frequencies, key=lambda one: (-one.found, one.effect))),
-        tests,
-        tuple(_named(test, tests, table, groups) for test in found),
-        table,
-    )
-
-
-def _counts(table: Table, groups: dict[str, Codes], ok: Any, traced: Any) -> dict[str, int]:
+    ok = _texts(rows, "status") == "ok"
+    traced = ok & (_numbers(rows, "traced") == 1)
     counts = {
-        "n": len(ok),
+        "n": len(rows),
         "ok": ok.sum(),
         "failed": (~ok).sum(),
         "traced": traced.sum(),
-        "adequate": (traced & (table["adequate"] == 1)).sum(),
-        "doubted": (table["doubts"] != "").sum(),
+        "adequate": (traced & (_numbers(rows, "adequate") == 1)).sum(),
+        "doubted": (_texts(rows, "doubts") != "").sum(),
         **{f"{kind}s": len(np.unique(codes[codes >= 0])) for kind, codes in groups.items()},
         "without_serial": (ok & (groups["unit"] < 0)).sum(),
     }
-    return {name: int(count) for name, count in counts.items()}
+    values = {name: _numbers(rows, name) for name in QUANTITIES}
+    values = {name: x for name, x in values.items() if np.isfinite(x).any()}
+    effects = _effects(rows)
+    frequencies = [Frequency(name, int(flags.sum()), int(traced.sum())) for name, flags in effects.items()]
+    comparisons = [
+        test for name, x in values.items() for test in _comparisons(name, x, _own_u(rows, name, x), groups)
+    ]
+    for effect, shown in effects.items():
+        for kind in KINDS:
+            group = np.where(traced, groups[kind], -1)
+            comparisons.append(by_share(kind, effect, shown, group, groups["unit"]))
+    tests, found = outlying(comparisons)
+    paths = _texts(rows, "path")
+    return Summary(
+        {name: int(count) for name, count in counts.items()},
+        tuple((row["path"], row["reason"]) for row, good in zip(rows, ok, strict=True) if not good),
+        tuple(Distribution.of(name, QUANTITIES[name], x) for name, x in values.items()),
+        tuple(sorted(frequencies, key=lambda one: (-one.found, one.effect))),
+        tests,
+        tuple(_named(test, tests, paths, names[test.kind], groups[test.kind]) for test in found),
+    )
 
 
-def _quantities(table: Table) -> list[str]:
-    return [name for name in QUANTITIES if name in table and np.isfinite(table[name]).any()]
+def _texts(rows: Sequence[Row], name: str) -> NDArray[np.str_]:
+    """Return a column of the table as texts (n,), empty if unknown."""
+    return np.array([row.get(name) or "" for row in rows], dtype=str)
 
 
-def _own_u(table: Table, name: str) -> Floats:
+def _numbers(rows: Sequence[Row], name: str) -> Floats:
+    """Return a column of the table as numbers (n,), NaN if unknown."""
+    return np.array([row.get(name) for row in rows], dtype=float)
+
+
+def _effects(rows: Sequence[Row]) -> dict[str, Flags]:
+    """Return a mask (n,) of the sessions that show it, for each effect found in any session."""
+    shown: dict[str, Flags] = {}
+    for k, row in enumerate(rows):
+        for name in row.get("effects") or ():
+            shown.setdefault(name, np.zeros(len(rows), dtype=bool))[k] = True
+    return dict(sorted(shown.items()))
+
+
+def _own_u(rows: Sequence[Row], name: str, values: Floats) -> Floats:
     """Return the standard uncertainties (n,) of a quantity for comparisons of sessions; NaN if unknown.
 
     If all sessions have the certificate of one stage, its errors are left out, since they change all values
-    together. `name` is the quantity.
+    together. `name` is the quantity with the values `values` (n,).
     """
     if name == _RMS:
-        return np.full(len(table[name]), np.nan)
-    u = table[f"{name}_u"].copy()
-    rows = np.isfinite(u) & np.isfinite(table[name])
-    if rows.any():
-        u[rows] = unshared_u(u[rows], table["stage_curve"][rows], table[f"{name}_stage"][rows])
+        return np.full(len(rows), np.nan)
+    u = _numbers(rows, f"{name}_u")
+    known = np.isfinite(u) & np.isfinite(values)
+    if known.any():
+        own = [row for row, there in zip(rows, known, strict=True) if there]
+        stages = [row.get("stage_curve") or "" for row in own]
+        u[known] = unshared_u(u[known], stages, [row.get(f"{name}_stage") or () for row in own])
     return u
 
 
-def _effects(table: Table) -> list[tuple[str, Any]]:
-    """List the effects found in any session by name, each with a mask (n,) of the sessions that show it."""
-    names, index = np.unique(table["effect_name"], return_inverse=True)
-    rows, shown = np.arange(len(table["path"])), table["effect_row"]
-    return [(str(name), np.isin(rows, shown[index == k])) for k, name in enumerate(names)]
+def _comparisons(name: str, values: Floats, u: Floats, groups: Mapping[str, Codes]) -> list[FamilyOfTests]:
+    """Make the tests of every sensor, stage and operator against the others for one quantity.
 
-
-def _comparisons(table: Table, groups: dict[str, Codes], traced: Any) -> list[FamilyOfTests]:
-    """Make the tests of every sensor, stage and operator against the others.
-
-    They cover all parameters and effects. `groups` has the number of each session's group by kind; `traced`
-    (n,) is True for a traced session.
+    `values`, `u` (n,) are the values of the quantity `name` and their standard uncertainties. `groups` has
+    the number of each session's group by kind.
     """
+    if name == _RMS:
+        values = np.log(values, out=np.full(len(values), np.nan), where=values > 0)
     unit = groups["unit"]
-    made = []
-    for name in _quantities(table):
-        values = table[name]
-        if name == _RMS:
-            values = np.log(values, out=np.full(len(values), np.nan), where=values > 0)
-        made.append(by_unit(name, values, _own_u(table, name), unit))
-        made += [by_rank(kind, name, values, groups[kind], unit) for kind in KINDS[1:]]
-    for effect, shown in _effects(table):
-        made += [by_share(kind, effect, shown, np.where(traced, groups[kind], -1), unit) for kind in KINDS]
-    return made
+    ranks = [by_rank(kind, name, values, groups[kind], unit) for kind in KINDS[1:]]
+    return [by_unit(name, values, u, unit), *ranks]
 
 
-def _named(test: Outlying, tests: int, table: Table, groups: dict[str, Codes]) -> Outlying:
-    """Return one of `tests` tests with the name of the group, its unit and the adjusted p-value."""
-    if test.code >= 0:
-        name = str(table[GROUPS[test.kind]][groups[test.kind] == test.code][0])
-    else:  # a session without a serial number counts as a unit
-        name = str(table["path"][-1 - test.code])
+def _named(
+    test: Outlying, tests: int, paths: NDArray[np.str_], names: NDArray[np.str_], codes: Codes
+) -> Outlying:
+    """Return one of `tests` tests with the name of the group, its unit and the adjusted p-value.
+
+    `paths`, `names` and `codes` (n,) are the file of each session, and the name and number of its group.
+    """
+    # A session without a serial number counts as a unit.
+    name = str(names[codes == test.code][0] if test.code >= 0 else paths[-1 - test.code])
     if test.quantity == _RMS:  # compared by its logarithm
         test = replace(test, value=math.exp(test.value), others=math.exp(test.others))
     unit = QUANTITIES.get(test.quantity, "1")  # a share has no unit

@@ -14,9 +14,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from adis_gonio.base import __version__
 from adis_gonio.base.errors import AdisGonioError, NotInstalledError, install_extra
 from adis_gonio.base.jsonable import JsonRecord
@@ -415,12 +412,6 @@ def _results(session: Session, *, trace: bool) -> dict[str, Any]:
 
 
 Row = Mapping[str, Any]
-Table = dict[str, NDArray[Any]]
-"""Columns (n,) by name.
-
-A column has floats (NaN if unknown), str ("" if unknown), or lists of numbers; `table_of` describes
-`effects`.
-"""
 
 
 def _of_quantities() -> dict[str, tuple[Kind, str, str]]:
@@ -442,39 +433,6 @@ def _of_quantities() -> dict[str, tuple[Kind, str, str]]:
 _FACTS = {f.name: f.metadata["column"] for f in fields(SessionRecord) if "column" in f.metadata}
 COLUMNS: dict[str, tuple[Kind, str, str]] = {**_FACTS, **_of_quantities()}
 """Kind, unit and meaning of each column of the table, in order."""
-
-
-_FACTS_USED = (
-    *("path", "serial", "operator", "stage", "stage_curve", "status", "reason"),
-    *("traced", "adequate", "effects", "doubts"),
-)
-_USED = (*_FACTS_USED, *(f"{name}{part}" for name in QUANTITIES for part in ("", "_u", "_stage")))
-
-
-def table_of(rows: Sequence[Row]) -> Table:
-    """Convert rows to one array for each column.
-
-    Rows are sorted by path. In place of the column `effects` the result has `effect_row` (m,) and
-    `effect_name` (m,): the number of the row and the name of each of m effects found.
-    """
-    columns = {name: [row.get(name) for row in rows] for name in _USED}
-    order = np.argsort(np.array([path or "" for path in columns["path"]], dtype=object), kind="stable")
-    table: Table = {}
-    for name, values in columns.items():
-        kind = COLUMNS[name][0]
-        if kind == "names":
-            counts = np.array([len(values[k] or ()) for k in order], dtype=int)
-            table["effect_row"] = np.repeat(np.arange(len(order)), counts)
-            table["effect_name"] = np.array([one for k in order for one in values[k] or ()], dtype=str)
-        elif kind == "numbers":
-            table[name] = np.fromiter(([] if v is None else v for v in values), object, len(values))[order]
-        elif kind == "text":
-            table[name] = np.array([value or "" for value in values], dtype=str)[order]
-        else:
-            table[name] = np.array([np.nan if value is None else value for value in values], dtype=float)[
-                order
-            ]
-    return table
 
 
 def require_pyarrow() -> Any:
