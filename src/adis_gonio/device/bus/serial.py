@@ -176,7 +176,7 @@ class SerialLink:
         nonce = self._dice.randrange(1 << 32)
         packet = self._packet(wire.HelloRequest(wire.VERSION, nonce))
         end_s = self._clock.now_s() + wait_s
-        bad = self.receiver.counts.bad
+        bad = self.receiver.bad.total()
         quiet_s = end_s - max(wait_s - LOADER_S, HELLO_EVERY_S)
 
         for sent in itertools.count():
@@ -200,7 +200,7 @@ class SerialLink:
                     raise self._other_version(answer.protocol)
                 return answer
             self.retries += 1
-        noise = ", only noise (another baud rate?)" if self.receiver.counts.bad > bad else ""
+        noise = ", only noise (another baud rate?)" if self.receiver.bad.total() > bad else ""
         raise BusTimeoutError(
             f"{self.url}: no adis-gonio firmware answers within {wait_s:g} s{noise}; is it flashed, and is"
             " this its port (docs/hardware.md)?"

@@ -6,8 +6,9 @@ output. Invalid bytes never raise an error in the receiver.
 
 from __future__ import annotations
 
-import binascii
 import functools
+import zlib
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,25 +35,6 @@ class Packet:
         return cls(body.TYPE, request_id, body.pack())
 
 
-@dataclass
-class ReceiverCounts:
-    """Number of valid packets, and numbers of discarded packets by reason.
-
-    The reasons are a wrong checksum (CRC), a broken frame (COBS), a wrong length, and an unknown type.
-    """
-
-    packets: int = 0
-    crc_errors: int = 0
-    cobs_errors: int = 0
-    length_errors: int = 0
-    unknown: int = 0
-
-    @property
-    def bad(self) -> int:
-        """Number of discarded packets of all kinds."""
-        return self.crc_errors + self.cobs_errors + self.length_errors + self.unknown
-
-
 @functools.cache
 def load_cobs() -> Any:
     """Import package cobs and return its module.
@@ -67,11 +49,6 @@ def load_cobs() -> Any:
     except ImportError:
         raise NotInstalledError(f"serial: cobs is not installed: {install_extra('serial')}") from None
     return cobs
-
-
-def crc32(data: bytes) -> int:
-    """Return the CRC-32 of the bytes (CRC-32/ISO-HDLC, as in Ethernet and zlib)."""
-    return binascii.crc32(data)
 
 
 def encode(packet: Packet) -> bytes:
@@ -89,16 +66,23 @@ def encode(packet: Packet) -> bytes:
     raw = bytes((packet.type,)) + packet.id.to_bytes(2, "little") + packet.body
     if len(raw) + CRC_SIZE > MAX_RAW:
         raise ValueError(f"a packet of {len(raw) + CRC_SIZE} bytes: at most {MAX_RAW}")
-    raw += crc32(raw).to_bytes(CRC_SIZE, "little")
+    raw += zlib.crc32(raw).to_bytes(CRC_SIZE, "little")
     stuffed: bytes = load_cobs().encode(raw)
     return _DELIMITER + stuffed + _DELIMITER
 
 
 class Receiver:
-    """Extracts valid packets from a stream of bytes and counts the invalid ones."""
+    """Extracts valid packets from a stream of bytes and counts the invalid ones.
+
+    Attributes
+    ----------
+    bad : Counter
+        Number of discarded packets by reason: a wrong checksum (`crc`), a broken frame (`cobs`), a wrong
+        length (`length`), or an unknown type (`type`).
+    """
 
     def __init__(self) -> None:
-        self.counts = ReceiverCounts()
+        self.bad: Counter[str] = Counter()
         self._cobs = load_cobs()
         self._rest = b""
         self._too_long = False
@@ -119,27 +103,25 @@ class Receiver:
         return packets
 
     def _take(self, part: bytes) -> Packet | None:
-        counts = self.counts
         if self._too_long or len(part) > _LONGEST:
-            counts.length_errors += 1
+            self.bad["length"] += 1
             return None
         if not part:
             return None
         try:
             raw: bytes = self._cobs.decode(part)
         except self._cobs.DecodeError:
-            counts.cobs_errors += 1
+            self.bad["cobs"] += 1
             return None
         if len(raw) < HEADER_SIZE + CRC_SIZE:
-            counts.length_errors += 1
-        elif crc32(raw[:-CRC_SIZE]) != int.from_bytes(raw[-CRC_SIZE:], "little"):
-            counts.crc_errors += 1
+            self.bad["length"] += 1
+        elif zlib.crc32(raw[:-CRC_SIZE]) != int.from_bytes(raw[-CRC_SIZE:], "little"):
+            self.bad["crc"] += 1
         elif raw[0] not in _KINDS:
-            counts.unknown += 1
+            self.bad["type"] += 1
         else:
-            counts.packets += 1
             return Packet(raw[0], int.from_bytes(raw[1:HEADER_SIZE], "little"), raw[HEADER_SIZE:-CRC_SIZE])
         return None
 
 
-__all__ = ["Body", "Packet", "Receiver", "ReceiverCounts", "crc32", "encode", "load_cobs"]
+__all__ = ["Body", "Packet", "Receiver", "encode", "load_cobs"]
