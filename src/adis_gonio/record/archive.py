@@ -48,8 +48,9 @@ from adis_gonio.base.errors import AdisGonioError, DataError, SessionError, one_
 from adis_gonio.base.output import exists_error, flush_names
 from adis_gonio.base.shapes import ShapeError, anything
 from adis_gonio.device.sensor.registers import ACCEL_OUT, BY_NAME
+from adis_gonio.device.sensor.settings import ScanBlock
 from adis_gonio.record import archive_tables as schema
-from adis_gonio.record.blocks import GENERIC, UNITS, Block, from_bytes, to_bytes
+from adis_gonio.record.blocks import GENERIC, UNITS, Block, ValueBlock
 from adis_gonio.record.plans import Plan, Position
 
 MOST_STEPS = 100_000_000
@@ -518,24 +519,22 @@ class ArchiveView(Closing):
     def _block(self, attempt: schema.Attempt, row: schema.JsonDict) -> Block:
         where = f"block {row['sequence']} of attempt {attempt.number}"
         scans, words, time_s = row["scans"], row["words"], row["time_s"]
-        width = len(attempt.registers) * (8 if attempt.variant == GENERIC else 2)
-        if len(time_s) != 8 * scans or len(words) != width * scans:
+        generic, columns = attempt.variant == GENERIC, attempt.registers
+        if len(time_s) != 8 * scans or len(words) != (8 if generic else 2) * len(columns) * scans:
             raise damaged(self.path, f"{where} does not hold {scans} scans")
         times = np.frombuffer(time_s, "<f8").astype(np.float64)
         # NaN fails every comparison; with `not` it is refused.
         if not (np.abs(times) <= schema.LARGEST_S).all() or (np.diff(times) < 0).any():
             raise damaged(self.path, f"the times of {where} are no numbers that increase")
-        block = from_bytes(
-            words,
-            times,
-            row["lost"],
-            registers=attempt.registers,
-            variant=attempt.variant,
-            gyro_range_dps=attempt.gyro_range_dps,
-        )
-        if attempt.variant == GENERIC and not (np.abs(block.values()) <= schema.LARGEST_VALUE).all():
+        shape = scans, len(columns)
+        if not generic:
+            held = np.frombuffer(words, "<u2").astype(np.uint16).reshape(shape)
+            chip = attempt.variant, attempt.gyro_range_dps
+            return ScanBlock(columns, held, times, row["lost"], *chip)
+        values = np.frombuffer(words, "<f8").astype(np.float64).reshape(shape)
+        if not (np.abs(values) <= schema.LARGEST_VALUE).all():
             raise damaged(self.path, f"the samples of {where} are no numbers of a sensor")
-        return block
+        return ValueBlock(columns, values, times, row["lost"])
 
     def _line(self, attempt: int) -> list[schema.Attempt]:
         """Return the last attempt of each run that led to the attempt with the number `attempt`, in order.
@@ -707,8 +706,10 @@ class Archive(ArchiveView):
             row |= {"attempt": number, "run": self.run}
             self._insert("attempts", *(row[column.name] for column in schema.TABLES["attempts"]))
             for sequence, (phase, block) in enumerate(attempt.blocks):
-                words, time_s = to_bytes(block), block.time_s.astype("<f8").tobytes()
-                self._insert("blocks", number, sequence, phase, len(block), block.lost, words, time_s)
+                samples = block.words if isinstance(block, ScanBlock) else block.data
+                blobs = [part.astype(part.dtype.newbyteorder("<")) for part in (samples, block.time_s)]
+                counts = len(block), block.lost
+                self._insert("blocks", number, sequence, phase, *counts, *(b.tobytes() for b in blobs))
             dropped = sum(block.dropped for phase, block in attempt.blocks if phase == "dwell")
             if dropped:
                 self._record("dropped", {"attempt": number, "scans": dropped}, attempt.ended_bus_s)

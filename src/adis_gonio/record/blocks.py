@@ -124,50 +124,6 @@ def count_alarms(block: Block) -> int:
     return 0 if block.alarm is None else int(block.alarm.sum())
 
 
-def to_bytes(block: Block) -> bytes:
-    """Encode the samples of a block as the archive stores them, in little-endian order.
-
-    Words of the chip are stored as uint16, values of a generic sensor as float64.
-    """
-    if isinstance(block, ValueBlock):
-        return block.data.astype("<f8").tobytes()
-    return block.words.astype("<u2").tobytes()
-
-
-def from_bytes(
-    content: bytes,
-    time_s: Floats,
-    lost: int,
-    *,
-    registers: tuple[str, ...],
-    variant: str,
-    gyro_range_dps: int | None,
-) -> Block:
-    """Decode a block from the bytes that `to_bytes` made and the archive stored.
-
-    Parameters
-    ----------
-    content : bytes
-        Samples, row by row.
-    time_s : (n,) float64
-        Time of each sample in s.
-    lost : int
-        Number of samples missed since the block before.
-    registers : tuple of str
-        Names of the columns.
-    variant : str
-        Variant of the sensor; `GENERIC` means values, any other variant means words.
-    gyro_range_dps : int or None
-        Range of the gyros in °/s; None if it is unknown or the sensor is generic.
-    """
-    shape = (len(time_s), len(registers))
-    if variant == GENERIC:
-        data = np.frombuffer(content, "<f8").astype(np.float64).reshape(shape)
-        return ValueBlock(registers, data, time_s, lost)
-    words = np.frombuffer(content, "<u2").astype(np.uint16).reshape(shape)
-    return ScanBlock(registers, words, time_s, lost, variant, gyro_range_dps)
-
-
 _OF_REGISTER = dict(zip((*ACCEL_OUT, *GYRO_OUT), (*SERIES["accel"], *SERIES["gyro"]), strict=True))
 
 
