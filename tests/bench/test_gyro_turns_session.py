@@ -149,8 +149,8 @@ def test_turns_are_read_when_asked_for_and_cost_a_fit_without_gyros_nothing(reco
     from adis_gonio.record import session_reader as reading
 
     asked = []
-    real = reading.ArchivedTurns.__call__
-    monkeypatch.setattr(reading.ArchivedTurns, "__call__", lambda self: asked.append(1) or real(self))
+    real = reading.read_turns
+    monkeypatch.setattr(reading, "read_turns", lambda *given: asked.append(1) or real(*given))
     session = load_session(recorded[0])
     from adis_gonio.fitting.estimation.readings import readings_of
 

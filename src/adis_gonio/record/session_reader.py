@@ -6,7 +6,7 @@ Turns between dwells are read on demand, so that a fit without gyros does not ne
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -40,46 +40,37 @@ TURNED = "turned"
 """Reason of an attempt that is a whole turn and no dwell; its scans precede the next dwell."""
 
 
-@dataclass(frozen=True)
-class ArchivedTurns:
-    """Reads the turns between the dwells of a session file when called.
+def read_turns(path: Path, attempts: Sequence[int]) -> tuple[Turn, ...]:
+    """Read the turns between successive dwells of a session file; empty if it is missing or was replaced.
 
-    Attributes
+    Parameters
     ----------
     path : Path
         Session file.
-    attempts : tuple of int
+    attempts : sequence of int
         Numbers of the attempts that were the session's dwells when it was read, in order.
+
+    Raises
+    ------
+    DataError
+        The file is damaged, truncated or newer than this program.
     """
-
-    path: Path
-    attempts: tuple[int, ...]
-
-    def __call__(self) -> tuple[Turn, ...]:
-        """Read the turns between successive dwells; empty if the file is missing or was replaced.
-
-        Raises
-        ------
-        DataError
-            The file is damaged, truncated or newer than this program.
-        """
-        if not self.path.is_file():
+    if not path.is_file():
+        return ()
+    with ArchiveView(path) as view, view.snapshot():
+        stored = view.attempts()
+        plan = view.plan()
+        of_number = {attempt.number: attempt for attempt in stored}
+        if not set(attempts) <= set(of_number):
             return ()
-        with ArchiveView(self.path) as view, view.snapshot():
-            stored = view.attempts()
-            plan = view.plan()
-            of_number = {attempt.number: attempt for attempt in stored}
-            if not set(self.attempts) <= set(of_number):
-                return ()
-            dwells = [of_number[number] for number in self.attempts]
-            made = []
-            for k, (before, after) in enumerate(pairwise(dwells)):
-                blocks = list(_between(view, stored, before, after))
-                declared = plan.positions[after.place].turned_deg if after.place < len(plan) else None
-                # The turn is declared only if the part came from the position before in the plan.
-                declared = declared if after.place == before.place + 1 else None
-                made.append(_turn(k, blocks, after, declared))
-        return tuple(made)
+        made = []
+        for k, (before, after) in enumerate(pairwise(of_number[number] for number in attempts)):
+            blocks = list(_between(view, stored, before, after))
+            declared = plan.positions[after.place].turned_deg if after.place < len(plan) else None
+            # The turn is declared only if the part came from the position before in the plan.
+            declared = declared if after.place == before.place + 1 else None
+            made.append(_turn(k, blocks, after, declared))
+    return tuple(made)
 
 
 def _between(
@@ -187,7 +178,7 @@ def read_session(path: str | Path) -> Session:
         }
     sign = -1 if facts["reversed"] else 1
     dwells = tuple(_dwell(k, *pair, sign) for k, pair in enumerate(zip(stored, joined, strict=True)))
-    turns = ArchivedTurns(Path(path).absolute(), tuple(attempt.number for attempt in stored))
+    turns = partial(read_turns, Path(path).absolute(), [attempt.number for attempt in stored])
     notes = _notes(plan, pending, skipped, facts)
     return _session(path, header, facts, notes, dwells=dwells, plane=plan.plane, turns_from=turns)
 
