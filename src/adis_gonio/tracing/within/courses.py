@@ -23,6 +23,7 @@ A significant dwell is described by the form with the smallest residual: a step,
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
@@ -337,97 +338,30 @@ Form = Literal["step", "drift", "settling", "disturbance"]
 
 @dataclass(frozen=True)
 class _Scale:
-    """Differences between the means of neighbouring stretches of samples, for one length of stretch.
+    """The largest difference between the means of neighbouring stretches, for one length of stretch.
 
     The length is a fixed number of samples or, on the last scale, half of each dwell.
 
     Attributes
     ----------
-    dwells : (m,) int
-        Indices of the dwells that are long enough.
-    stretch : (m,) float
-        Length of a stretch in samples.
-    places : m arrays (j,)
-        Number of the first sample in the later of the two stretches.
-    differences : m arrays (j, axes)
-        Differences, divided by their standard deviation for white noise.
-    """
-
-    dwells: NDArray[np.intp]
-    stretch: Floats
-    places: list[NDArray[np.intp]]
-    differences: list[Floats]
-
-
-@dataclass(frozen=True)
-class _Looks:
-    """The largest difference of means in each dwell and axis, on each of s scales.
-
-    Attributes
-    ----------
-    p_value : (s, d, axes) float
-        p-value of the difference, corrected for the number of tests; 1 if the dwell is too short.
-    place : (s, d, axes) int
-        Number of the first sample in the later of the two stretches.
-    height_mg : (s, d, axes) float
-        Later minus earlier mean.
-    spread : (s, d, axes) float
-        Standard deviation of the differences of the scale.
-    stretch : (s, d) float
+    stretch : (d,) float
         Length of a stretch in samples; 0 if the dwell is too short.
-    unit : (d, axes) float
-        Divisor of the samples in mg: the scatter of the dwell on an axis whose scatter differs between
-        dwells, otherwise 1.
+    place : (d, axes) float
+        Number of the first sample in the later of the two stretches.
+    height_mg, u_mg : (d, axes) float
+        Later minus earlier mean, and the standard deviation of such differences.
+    p_value : (d, axes) float
+        One-sided p-value of the difference, not corrected; 1 if the dwell is too short.
+    tests : int
+        Number of differences in all dwells.
     """
 
-    p_value: Floats
-    place: NDArray[np.intp]
-    height_mg: Floats
-    spread: Floats
     stretch: Floats
-    unit: Floats
-
-    @classmethod
-    def of(cls, samples: Samples, scales: Sequence[_Scale], unit: Floats) -> _Looks:
-        """Return the test of the largest differences on these scales; `unit` is as in the class."""
-        shape = len(scales), len(samples), samples.axes
-        looks = cls(
-            p_value=np.ones(shape),
-            place=np.zeros(shape, dtype=np.intp),
-            height_mg=np.zeros(shape),
-            spread=np.zeros(shape),
-            stretch=np.zeros(shape[:2]),
-            unit=unit,
-        )
-        # If the noise is below the converter's step, a mean may be wrong by half a step.
-        scatter = np.array([rows.std(axis=0) for rows in samples.values])
-        coarse = np.where(scatter < LIVELY * samples.quantum, 0.5 * samples.quantum / unit, 0.0)
-        tests = sum(len(rows) for scale in scales for rows in scale.differences) * samples.axes
-        for k, scale in enumerate(scales):
-            own, half = scale.dwells, np.sqrt(scale.stretch / 2)[:, None]
-            at = np.array([np.abs(rows).argmax(axis=0) for rows in scale.differences])
-            peaks = zip(scale.differences, at, strict=True)
-            highest = np.array([rows[m, range(samples.axes)] for rows, m in peaks])
-            largest = np.maximum(np.abs(highest) - coarse[own] * half, 0.0)
-            p, looks.spread[k, own] = _judge(scale, samples.counts[own], largest)
-            p = np.minimum(1.0, 2 * p * max(tests, 1) * SEARCHES)
-            looks.p_value[k, own] = np.where(largest > 0, p, 1.0)
-            looks.place[k, own] = [places[m] for places, m in zip(scale.places, at, strict=True)]
-            # Back to the difference of two means in mg.
-            looks.height_mg[k, own] = highest / half * unit[own]
-            looks.stretch[k, own] = scale.stretch
-        return looks
-
-    def u_mg(self, dwell: int, axis: int, stretch: float) -> float:
-        """Return the standard uncertainty in mg of the difference between the means of two stretches.
-
-        A stretch is a run of `stretch` samples. `dwell` and `axis` are indices.
-        """
-        lengths = np.maximum(self.stretch[:, dwell], 1e-9)
-        k = int(np.abs(np.log(lengths / stretch)).argmin())
-        return float(
-            self.spread[k, dwell, axis] * np.sqrt(2 / max(lengths[k], 1.0)) * self.unit[dwell, axis]
-        )
+    place: Floats
+    height_mg: Floats
+    u_mg: Floats
+    p_value: Floats
+    tests: int
 
 
 def events(samples: Samples, unlike: list[int], reach: int) -> list[WithinFinding]:
@@ -448,10 +382,11 @@ def events(samples: Samples, unlike: list[int], reach: int) -> list[WithinFindin
     scales = _scales(samples, unit, max(_SHORTEST, 2 * reach))
     if not scales:
         return []
-    looks = _Looks.of(samples, scales, unit)
-    p = looks.p_value.min(axis=0)
+    tests = 2 * SEARCHES * samples.axes * sum(scale.tests for scale in scales)
+    p = np.minimum(1.0, tests * np.min([scale.p_value for scale in scales], axis=0))
     described = [
-        (k, axis, *_describe(samples, k, axis, looks)) for k, axis in np.argwhere(p < FOUND_WITHIN).tolist()
+        (k, axis, *_describe(samples, k, axis, scales))
+        for k, axis in np.argwhere(p < FOUND_WITHIN).tolist()
     ]
     found = []
     for form in get_args(Form):
@@ -463,7 +398,7 @@ def events(samples: Samples, unlike: list[int], reach: int) -> list[WithinFindin
 
 
 def _scales(samples: Samples, unit: Floats, shortest: int) -> list[_Scale]:
-    """Return the differences on all scales; the length of a stretch doubles from `shortest` samples on.
+    """Return the largest differences on all scales; a stretch doubles from `shortest` samples on.
 
     `unit` (d, axes) divides the samples of each dwell.
     """
@@ -473,45 +408,55 @@ def _scales(samples: Samples, unit: Floats, shortest: int) -> list[_Scale]:
         )
         for k, rows in enumerate(samples.values)
     ]
+    # If the noise is below the converter's step, a mean may be wrong by half a step.
+    scatter = np.array([rows.std(axis=0) for rows in samples.values])
+    coarse = np.where(scatter < LIVELY * samples.quantum, 0.5 * samples.quantum / unit, 0.0)
     counts = samples.counts
     doublings = range(max(int(counts.max()) // (3 * shortest), 0).bit_length())
     scales = []
     for length in (*(shortest << j for j in doublings), None):
         stretch = counts // 2 if length is None else np.full(len(samples), length)
         dwells = np.flatnonzero((counts >= LEAST_SAMPLES) & (2 * stretch <= counts))
-        places, differences = [], []
+        # Number of independent differences in each dwell for white noise.
+        apart = np.maximum(1.0, counts[dwells] / (2 * stretch[dwells]))
+        if apart.sum() <= 2:
+            continue
+        differences, places, highest = [], [], []
         for k in dwells.tolist():
             # Adjacent stretches of `own` samples at every quarter of a stretch; sums from cumulative sums.
             own, total = int(stretch[k]), sums[k]
             middle = np.arange(own, counts[k] - own + 1, max(1, own // 4))
-            change = total[middle + own] - 2 * total[middle] + total[middle - own]
-            places.append(middle)
-            differences.append(change / np.sqrt(2 * own))
-        scale = _Scale(dwells, stretch[dwells].astype(float), places, differences)
-        if dwells.size and _places_apart(scale, counts[dwells]).sum() > 2:
-            scales.append(scale)
+            change = (total[middle + own] - 2 * total[middle] + total[middle - own]) / np.sqrt(2 * own)
+            top = np.abs(change).argmax(axis=0)
+            differences.append(change)
+            places.append(middle[top])
+            highest.append(change[top, range(samples.axes)])
+        half = np.sqrt(stretch[dwells] / 2)[:, None]
+        largest = np.maximum(np.abs(highest) - coarse[dwells] * half, 0.0)
+        p, spread = _judge(apart, differences, largest)
+        place, height, u = np.zeros((3, *unit.shape))
+        tests = sum(map(len, differences))
+        scale = _Scale(np.zeros(len(samples)), place, height, u, np.ones(unit.shape), tests)
+        scale.stretch[dwells], scale.place[dwells] = stretch[dwells], places
+        # Back to the difference of two means in mg.
+        scale.height_mg[dwells], scale.u_mg[dwells] = (x / half * unit[dwells] for x in (highest, spread))
+        scale.p_value[dwells] = np.where(largest > 0, p, 1.0)
+        scales.append(scale)
     return scales
 
 
-def _places_apart(scale: _Scale, counts: NDArray[np.intp]) -> Floats:
-    """Return the number (m,) of independent differences in each dwell for white noise, at least 1.
-
-    `counts` (m,) are the numbers of samples of the dwells.
-    """
-    return np.maximum(1.0, counts / (2 * scale.stretch))
-
-
-def _judge(scale: _Scale, counts: NDArray[np.intp], largest: Floats) -> tuple[Floats, Floats]:
+def _judge(apart: Floats, differences: Sequence[Floats], largest: Floats) -> tuple[Floats, Floats]:
     """Return the one-sided p-values (m, axes) of the largest differences, and the scatter of differences.
 
-    `counts` (m,) are the numbers of samples of the dwells, `largest` (m, axes) the moduli of the largest
-    differences. The scatter is the standard deviation (m, axes) that each dwell is compared with.
+    `apart` (m,) are the numbers of independent differences in the dwells, `differences` (j, axes) all
+    differences of each dwell, `largest` (m, axes) the moduli of the largest ones. The scatter is the
+    standard deviation (m, axes) that each dwell is compared with.
     """
     p, spreads = np.ones_like(largest), np.zeros_like(largest)
-    every = np.concatenate(scale.differences)
+    every = np.concatenate(differences)
     for axis in range(largest.shape[1]):
-        squares = np.array([(own[:, axis] ** 2).mean() for own in scale.differences])
-        weight = _independent(_places_apart(scale, counts), squares)
+        squares = np.array([(own[:, axis] ** 2).mean() for own in differences])
+        weight = _independent(apart, squares)
         total = float(weight.sum())
         if total >= _MANY:
             spreads[:, axis] = max(MAD_TO_SD * float(np.median(np.abs(every[:, axis]))), 1e-12)
@@ -559,7 +504,7 @@ def _independent(nominal: Floats, squares: Floats) -> Floats:
     return np.minimum(nominal, max(2 / max(spread, 1e-6) ** 2, 1.0))
 
 
-def _describe(samples: Samples, k: int, axis: int, looks: _Looks) -> tuple[Form, Place]:
+def _describe(samples: Samples, k: int, axis: int, scales: Sequence[_Scale]) -> tuple[Form, Place]:
     """Return the form that describes a dwell best, and its place.
 
     If the form is not significant in the noise of its scale, the event is a disturbance of the length at
@@ -569,8 +514,8 @@ def _describe(samples: Samples, k: int, axis: int, looks: _Looks) -> tuple[Form,
     elapsed, period, n = samples.elapsed_s(k), samples.period_s, len(rows)
     length = max(float(elapsed[-1]), 1e-12)
     # Step: the sum of squares decreases by n1 n2/n times the squared difference of the means.
-    first = np.arange(1, n)
-    gain = np.cumsum(rows)[:-1] ** 2 * n / (first * (n - first))
+    before = np.arange(1, n)
+    gain = np.cumsum(rows)[:-1] ** 2 * n / (before * (n - before))
     inner = slice(2, max(n - 3, 3))
     cut = int(np.argmax(gain[inner])) + inner.start + 1
     fewer = min(cut, n - cut)
@@ -584,24 +529,29 @@ def _describe(samples: Samples, k: int, axis: int, looks: _Looks) -> tuple[Form,
     for tau in np.geomspace(3 * period, length / 3, _EVENT_TAUS) if length > 9 * period else ():
         decay = np.exp(-elapsed / tau)
         forms.append(("settling", decay, min(tau / period, n / 2), 0, "mg", 1.0, float(decay.mean())))
+
+    def u_mg(stretch: float) -> float:
+        """Return u of the difference between the means of two stretches, by the nearest scale."""
+        nearest = min(scales, key=lambda one: abs(math.log(max(one.stretch[k], 1e-9) / stretch)))
+        return float(nearest.u_mg[k, axis])
+
     most, chosen = -1.0, None
     for form, course, stretch, at, unit, per_mg, shift in forms:
         centred = course - course.mean()
         energy = max(float(centred @ centred), 1e-300)
         size = float(centred @ rows) / energy
         if size**2 * energy > most:
-            most, u = size**2 * energy, per_mg * looks.u_mg(k, axis, stretch)
+            most, u = size**2 * energy, per_mg * u_mg(stretch)
             place = samples.place(k, axis, size, u, unit, at, size * shift)
             chosen = form, place, abs(size) > _CLEAR * u
     assert chosen is not None
     form, place, certain = chosen
     if certain:
         return form, place
-    scale = int(looks.p_value[:, k, axis].argmin())
-    at, height = int(looks.place[scale, k, axis]), float(looks.height_mg[scale, k, axis])
-    stretch = float(looks.stretch[scale, k])
-    u = looks.u_mg(k, axis, stretch)
-    return "disturbance", samples.place(k, axis, height, u, at=at, shift=height * stretch / n)
+    scale = min(scales, key=lambda one: float(one.p_value[k, axis]))
+    first, height, u = (float(x[k, axis]) for x in (scale.place, scale.height_mg, scale.u_mg))
+    shift = height * float(scale.stretch[k]) / n
+    return "disturbance", samples.place(k, axis, height, u, at=int(first), shift=shift)
 
 
 _WORDS: dict[Form, tuple[str, str, str]] = {
