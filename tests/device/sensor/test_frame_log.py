@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from adis_gonio.base.errors import DataError
-from adis_gonio.device.bus import SpiTiming
+from adis_gonio.device.bus import FrameBlock, SpiTiming
 from adis_gonio.device.bus.capture import LogicCapture
-from adis_gonio.device.bus.recording import BusRecording, RecordingBus
+from adis_gonio.device.bus.recording import BusRecording, Call, RecordingBus
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.device.sensor.frame_log import FrameLog, FrameRow
 from adis_gonio.device.sensor.registers import variant
@@ -59,6 +60,15 @@ def test_the_log_shows_addresses_without_a_register_and_answers_of_the_bus(tmp_p
     values = {row.action: row.value for row in rows}
     assert values["sleep_s"] == "0.25"
     assert values["read_event_counter"] == f" → {edges}"
+
+
+@pytest.mark.parametrize(
+    ("lost", "value"), [(0, "3 scans of 2 words"), (4, "3 scans of 2 words, 4 lost before their end")]
+)
+def test_the_log_counts_the_scans_of_a_block_and_the_lost_ones(lost: int, value: str) -> None:
+    block = FrameBlock(np.zeros((3, 2), np.uint16), np.arange(3.0), lost)
+    (row,) = FrameLog(variant("adis16354")).rows([Call(7, "block", 0.0, 3.5, result=block)])
+    assert (row.record, row.time_s, row.action, row.value) == (7, 3.5, "block", value)
 
 
 def test_the_log_finds_frames_that_break_a_rule_of_timing(tmp_path: Path) -> None:
