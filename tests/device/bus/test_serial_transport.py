@@ -480,6 +480,22 @@ def test_times_follow_a_board_whose_clock_is_off_and_wraps():
     assert rate == pytest.approx(819.2, rel=5e-4)
 
 
+WORDS_S = 82 * 2 * 20e-6  # a byte takes 20 µs at 500 000 baud
+
+
+@pytest.mark.parametrize(
+    ("board", "earliest_s", "latest_s"),
+    [({}, -WORDS_S - 2e-3, -WORDS_S), ({"capabilities": 15, "baud": 10_000_000}, -1e-3, 0.0)],
+    ids=["serial line", "native USB"],
+)
+def test_a_scan_is_older_than_its_arrival_by_the_time_of_its_packet_on_the_line(
+    board, earliest_s, latest_s
+):
+    bench = Bench(watched=False, **board)
+    times = streamed(bench, 2, block_scans=82, frames=[0x0A00])[-1].time_s
+    assert earliest_s < times[-1] - bench.clock.now_s() < latest_s
+
+
 def test_a_slow_stream_comes_in_small_packets_without_a_time_out():
     bench = Bench(watched=False)
 
