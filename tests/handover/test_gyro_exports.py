@@ -337,7 +337,7 @@ def test_gyros_of_another_part_or_of_none_are_refused_in_one_line(two_sessions, 
     for file, told in (
         (other, "its gyros are of B1, the accelerometers of A7"),
         (bare, "without gyros"),
-        (two_sessions / "exported.json", "give the session of the gyros"),
+        (two_sessions / "exported.json", "is no calibration; give a session"),
     ):
         words = ["export", str(two_sessions / "stage.session"), "--gyros", str(file), "-o"]
         assert main([*words, str(two_sessions / "x.json"), "--force"]) != 0

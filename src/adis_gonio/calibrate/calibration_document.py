@@ -43,8 +43,7 @@ def calibration_from(document: Any, name: str = "calibration") -> Calibration:
         The document is not a calibration, is of a newer version or has unusable entries. The message begins
         with `name`.
     """
-    hint = "; make one with adis-gonio export SESSION -o NAME.json"
-    made = _read_from(document, name, Calibration.schema, "calibration", _read, hint)
+    made = _read_from(document, name, Calibration.schema, "calibration", _read)
     if document.get("gyro") is None:
         return made
     return replace(made, gyro=gyro_calibration_from(document["gyro"], f"{name}: gyro"))
@@ -58,20 +57,14 @@ def gyro_calibration_from(document: Any, name: str = "gyro calibration") -> Gyro
     DataError
         The document is not a gyro calibration, is of a newer version or has unusable entries.
     """
-    hint = "; give the session of the gyros or a GyroCalibration.save file"
-    return _read_from(document, name, GyroCalibration.schema, "gyro calibration", _read_gyro, hint)
+    return _read_from(document, name, GyroCalibration.schema, "gyro calibration", _read_gyro)
 
 
 def _read_from(
-    document: Any,
-    name: str,
-    schema: str,
-    kind: str,
-    read: Callable[[Mapping[str, Any]], Made],
-    hint: str,
+    document: Any, name: str, schema: str, kind: str, read: Callable[[Mapping[str, Any]], Made]
 ) -> Made:
     if not isinstance(document, Mapping) or document.get("schema") != schema:
-        raise DataError(f"{name}: is no {kind}{hint}")
+        raise DataError(f"{name}: is no {kind}; give a session, or the .json of export")
     if document.get("version") != VERSION:
         raise DataError(
             f"{name}: is a {kind} of version {document.get('version')!r}, this program reads "

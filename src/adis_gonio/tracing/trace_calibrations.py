@@ -18,12 +18,7 @@ from adis_gonio.base.arrays import Floats, central_differences, wrap_degrees
 from adis_gonio.base.errors import AdisGonioError, DataError, FitError, SessionError, UsageError
 from adis_gonio.base.output import ends_in
 from adis_gonio.calibrate.calibration import Calibration, Coefficient, EffectTerm, NotCorrected
-from adis_gonio.calibrate.calibration_document import (
-    calibration_from,
-    calibration_in,
-    gyro_calibration_from,
-    json_document,
-)
+from adis_gonio.calibrate.calibration_document import any_calibration_in, calibration_in
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
@@ -411,22 +406,20 @@ def load_gyro_calibration(
     traced : bool
         For a session, use the traced model of its gyros with its effects.
     """
-    document = json_document(Path(path))
-    if document is None:
+    made = any_calibration_in(path)
+    if made is None:
         from adis_gonio.record.loading import load_session
 
         _refuse_made_for_others(path)
         session = load_session(path)
         _refuse_another_part(part, provenance_of(session), path)
         return gyro_calibration_of(session, traced=traced)
-    schema = document.get("schema") if isinstance(document, dict) else None
-    if schema == Calibration.schema:
-        whole = calibration_from(document, str(path))
-        _refuse_another_part(part, whole.provenance, path)
-        if whole.gyro is None:
-            raise FitError(f"{path}: is a calibration without gyros")
-        return whole.gyro
-    return gyro_calibration_from(document, str(path))
+    if isinstance(made, GyroCalibration):
+        return made
+    _refuse_another_part(part, made.provenance, path)
+    if made.gyro is None:
+        raise FitError(f"{path}: is a calibration without gyros")
+    return made.gyro
 
 
 def _refuse_made_for_others(path: str | Path) -> None:
