@@ -22,6 +22,7 @@ from adis_gonio.bench.writeback import (
     WriteSettings,
     plan_offsets,
 )
+from adis_gonio.bench.writeback.offset_plan import recorded_offsets
 from adis_gonio.calibrate import Calibration
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.handover.session_export import ExportSource
@@ -62,7 +63,7 @@ def shown_bias(bus, scans=2000):
 def test_the_plan_takes_the_bias_off_to_half_an_lsb_and_leaves_z_alone(recorded):
     session = load_session(recorded)
     result = fit(session)
-    plan = plan_offsets(session, result)
+    plan = plan_offsets(session, result, recorded_offsets(session))
     assert [axis.register for axis in plan.axes] == ["XACCL_OFF", "YACCL_OFF"]
     for axis in plan.axes:
         bias = result[f"bias_{axis.axis}"].value
@@ -97,7 +98,7 @@ def test_a_bias_beyond_the_register_is_clipped_and_said(recorded):
     held = session.facts["registers"]["configured"] | {"XACCL_OFF": -2030}
     far = replace(session, facts=session.facts | {"registers": {"configured": held}})
     result = fit(session)
-    x, y = plan_offsets(far, result).axes
+    x, y = plan_offsets(far, result, recorded_offsets(far)).axes
     assert (x.new, x.clipped, y.clipped) == (-2048, True, False)
     assert x.bias_after == pytest.approx(result["bias_x"].value - 18 * LSB)
 
@@ -295,7 +296,7 @@ def test_a_bias_smaller_than_its_uncertainty_is_a_doubt(recorded):
     session = load_session(recorded)
     result = fit(session)
     vague = [replace(e, u=30.0) if e.name == "bias_y" else e for e in result.parameters]
-    plan = plan_offsets(session, replace(result, parameters=tuple(vague)))
+    plan = plan_offsets(session, replace(result, parameters=tuple(vague)), recorded_offsets(session))
     assert len(plan.doubts) == 1
     assert "bias_y" in plan.doubts[0]
     assert "even its sign is open" in plan.doubts[0]

@@ -13,7 +13,6 @@ If offsets and prediction differ by more than both uncertainties allow, one of t
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -34,7 +33,6 @@ from adis_gonio.device.sensor.registers import (
     GYRO_OUT,
     TEMP_OUT,
     Kind,
-    Performance,
     variant,
 )
 from adis_gonio.device.sensor.scanning import ScanStream
@@ -239,52 +237,18 @@ TEMPCO_DPS_PER_C = 0.02
 """Assumed temperature coefficient of a zero rate in °/s/°C if the session does not determine it (D)."""
 
 
-class _Half:
-    """One half of the sensor, accelerometers or gyros: plans and checks its offsets.
-
-    Attributes
-    ----------
-    registers, others : tuple of str
-        Offset registers of this half and of the other half.
-    moved, unit : str
-        Beginning of the message on the effect of a write, and unit of the outputs: `mg` or `dps`.
-    figures : Performance
-        Figures of the sensor's variant.
-    """
-
-    registers: tuple[str, ...]
-    others: tuple[str, ...]
-    moved: str
-    unit: str
-    figures: Performance
-
-    def __init__(self, session: Session) -> None:
-        self.session = session
-        self.figures = variant(session.sensor).performance
-
-    @abstractmethod
-    def outputs(self, rest: Rest) -> tuple[Floats, Floats]:
-        """Return the mean outputs (3,) of a dwell, and their standard uncertainties."""
-
-    @abstractmethod
-    def wander(self, warmer_c: float, volts: float) -> float:
-        """Return the standard uncertainty by which an output wanders between two dwells.
-
-        The second dwell is warmer by `warmer_c` and has a supply higher by `volts`.
-        """
-
-    def effect(self, plan: WritePlan, before: Rest, after: Rest) -> Agreement:
-        """Compare the change of the outputs by the write, between two dwells, with the planned change."""
-        (first, u_first), (second, u_second) = self.outputs(before), self.outputs(after)
-        wander = self.wander(after.temperature_c - before.temperature_c, after.supply_v - before.supply_v)
-        rows = [AXES.index(axis.axis) for axis in plan.axes]
-        u = np.sqrt(u_first**2 + u_second**2 + wander**2)[rows]
-        names = tuple(axis.axis.upper() for axis in plan.axes)
-        planned = np.array([axis.effect for axis in plan.axes])
-        return Agreement(self.moved, names, (second - first)[rows], planned, u, self.unit)
+def compare_effect(part: Accelerometers | Gyros, plan: WritePlan, before: Rest, after: Rest) -> Agreement:
+    """Compare the change of the outputs by a write, between two dwells, with the planned change."""
+    (first, u_first), (second, u_second) = part.outputs(before), part.outputs(after)
+    wander = part.wander(after.temperature_c - before.temperature_c, after.supply_v - before.supply_v)
+    rows = [AXES.index(axis.axis) for axis in plan.axes]
+    u = np.sqrt(u_first**2 + u_second**2 + wander**2)[rows]
+    names = tuple(axis.axis.upper() for axis in plan.axes)
+    planned = np.array([axis.effect for axis in plan.axes])
+    return Agreement(part.moved, names, (second - first)[rows], planned, u, part.unit)
 
 
-class Accelerometers(_Half):
+class Accelerometers:
     """Checks and plans the offsets of a session's accelerometers.
 
     Parameters
@@ -295,6 +259,15 @@ class Accelerometers(_Half):
         Method by which the session is fitted; None for the method that suits the session best.
     angle_deg : float or None
         Declared angle of the sensor now; None if it is not known.
+
+    Attributes
+    ----------
+    registers, others : tuple of str
+        Offset registers of the accelerometers, and of the gyros.
+    moved, unit : str
+        Beginning of the message on the effect of a write, and unit of the outputs.
+    remarks : tuple of str
+        Remarks of the fit for the user.
     """
 
     registers, others = ACCEL_OFF, GYRO_OFF
@@ -302,8 +275,8 @@ class Accelerometers(_Half):
     remarks: tuple[str, ...] = ()
 
     def __init__(self, session: Session, method: str | None, angle_deg: float | None) -> None:
-        super().__init__(session)
-        self._method, self.angle_deg = method, angle_deg
+        self.session, self._method, self.angle_deg = session, method, angle_deg
+        self.figures = variant(session.sensor).performance
 
     @cached_property
     def result(self) -> FitResult:
@@ -408,7 +381,11 @@ class Accelerometers(_Half):
         return rest.mean_mg, rest.u_mg
 
     def wander(self, warmer_c: float, volts: float) -> float:
-        """Return the standard uncertainty in mg: floor of the Allan deviation of the bias, and warmth."""
+        """Return the standard uncertainty in mg by which a reading wanders between two dwells.
+
+        It comes from the floor of the bias's Allan deviation, and from the second dwell being warmer by
+        `warmer_c`; the supply, higher by `volts`, does not count.
+        """
         floor = math.sqrt(2) * self.figures.bias_instability_mg
         return math.hypot(floor, self.figures.bias_tempco_mg_per_c * warmer_c)
 
@@ -418,11 +395,15 @@ def _norms(slopes: Floats) -> Floats:
     return np.asarray(np.linalg.norm(slopes, axis=-1))
 
 
-class Gyros(_Half):
-    """Checks and plans the offsets of a session's gyros."""
+class Gyros:
+    """Checks and plans the offsets of a session's gyros; attributes as of `Accelerometers`."""
 
     registers, others = GYRO_OFF, ACCEL_OFF
     moved, unit = "the write moved the gyros by", "dps"
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self.figures = variant(session.sensor).performance
 
     @cached_property
     def result(self) -> GyroFit:
@@ -463,7 +444,11 @@ class Gyros(_Half):
         return rest.mean_dps, rest.u_dps
 
     def wander(self, warmer_c: float, volts: float) -> float:
-        """Return the standard uncertainty in °/s: floor of the Allan deviation, warmth and supply."""
+        """Return the standard uncertainty in °/s by which a rate wanders between two dwells.
+
+        It comes from the floor of the Allan deviation; the second dwell is warmer by `warmer_c` and has a
+        supply higher by `volts`.
+        """
         return math.hypot(
             math.sqrt(2) * self.figures.gyro_instability_dps,
             TEMPCO_DPS_PER_C * warmer_c,

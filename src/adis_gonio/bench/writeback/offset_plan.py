@@ -151,15 +151,15 @@ def recorded_offsets(session: Session, names: Sequence[str] = ACCEL_OFF) -> dict
     return {name: int(registers[name]) for name in names}
 
 
-def plan_offsets(session: Session, result: FitResult, now: Numbers | None = None) -> WritePlan:
+def plan_offsets(session: Session, result: FitResult, now: Numbers) -> WritePlan:
     """Plan the offset registers of the accelerometers by a fit of a session.
 
     Parameters
     ----------
     result : FitResult
         Fit of the session.
-    now : mapping of str to int or None
-        Present numbers in the registers; None for the numbers during the recording.
+    now : mapping of str to int
+        Present numbers in the registers.
 
     Raises
     ------
@@ -167,7 +167,6 @@ def plan_offsets(session: Session, result: FitResult, now: Numbers | None = None
         The session gives no bias (two positions), or does not have the contents of the registers.
     """
     recorded = recorded_offsets(session)
-    held = recorded if now is None else now
     if not any(name in result for name in BIASES):
         raise SessionError(
             f"{session.source}: method {result.method} gives no bias, so there is nothing to write; measure"
@@ -175,11 +174,11 @@ def plan_offsets(session: Session, result: FitResult, now: Numbers | None = None
         )
     given = zip(ACCEL_OFF, BIASES, strict=True)
     found = {name: (result[bias].value, result[bias].u) for name, bias in given if bias in result}
-    return _plan(session, found, recorded, held, result.method, _lacks(session, result))
+    return _plan(session, found, recorded, now, result.method, _lacks(session, result))
 
 
 def plan_gyro_offsets(
-    session: Session, gyro: GyroCalibration, now: Numbers | None = None, doubts: Sequence[str] = ()
+    session: Session, gyro: GyroCalibration, now: Numbers, doubts: Sequence[str]
 ) -> WritePlan:
     """Plan the offset registers of the gyros by their calibration.
 
@@ -187,8 +186,8 @@ def plan_gyro_offsets(
     ----------
     gyro : GyroCalibration
         Calibration for the offsets during the recording.
-    now : mapping of str to int or None
-        Present numbers in the registers; None for the numbers during the recording.
+    now : mapping of str to int
+        Present numbers in the registers.
     doubts : sequence of str
         Reasons to doubt the calibration.
 
@@ -199,10 +198,9 @@ def plan_gyro_offsets(
         register, which means that the gyro is broken or was not at rest.
     """
     recorded = recorded_offsets(session, GYRO_OFF)
-    held = recorded if now is None else now
     biases = zip(GYRO_OFF, (gyro[f"gyro_bias_{axis}"] for axis in AXES), strict=True)
     found = {name: (bias.value, bias.u) for name, bias in biases}
-    plan = _plan(session, found, recorded, held, gyro.method, doubts)
+    plan = _plan(session, found, recorded, now, gyro.method, doubts)
     for axis in plan.axes:
         if axis.clipped:
             low, high = BY_NAME[axis.register].range

@@ -25,6 +25,7 @@ from adis_gonio.bench.writeback.offset_checks import (
     Agreement,
     Gyros,
     Rest,
+    compare_effect,
     measure,
 )
 from adis_gonio.bench.writeback.offset_plan import WritePlan, recorded_offsets
@@ -429,7 +430,7 @@ class OffsetWriter:
             raise UsageError("make a plan first: plan() takes the dwell before")
         after = self._measure("at rest, after")
         done = plan.carried_out
-        checks = [self._part.effect(plan, self._before, after), self._part.expected(done, after)]
+        checks = [compare_effect(self._part, plan, self._before, after), self._part.expected(done, after)]
         for check in checks:
             self._tell(str(check))
             if not check.agrees:

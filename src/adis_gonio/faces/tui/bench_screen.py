@@ -176,15 +176,6 @@ QUIT = {
 LARGE_SIZE = (120, 40)
 """Smallest terminal, in columns and rows, on which the digits of the angle have double size."""
 
-_STYLES = {
-    "open": "",
-    "now": "bold reverse",
-    "done": "green",
-    "skipped": "dim",
-    "faulty": "bold red",
-    "withdrawn": "yellow",
-}
-
 
 class BenchApp(App[None]):
     """The textual application that shows a session and passes on the operator's answers.
@@ -368,7 +359,7 @@ class BenchApp(App[None]):
         silence_s = time.monotonic() - self._news_s
         plan = Text(no_wrap=True, overflow="ellipsis")
         for line, style in screen_text.plan_rows(state, rows):
-            plan.append(f"{line}\n", style=_STYLES[style])
+            plan.append(f"{line}\n", style=style)
         messages = Text()
         for message, level in reversed(state.messages):  # the newest first: the oldest are cut off
             messages.append(f"{message}\n", style="yellow" if level == "warned" else "")

@@ -21,15 +21,15 @@ LEAST_SIZE = (80, 24)
 class Mark(Enum):
     """State of a position in the list of positions, readable without colours.
 
-    The value is a sign of one character and a word of at most seven letters.
+    The value is a sign of one character, a word of at most seven letters, and the style of its row.
     """
 
-    OPEN = "·", "to do"
-    NOW = "▶", "now"
-    DONE = "✓", "done"
-    SKIPPED = "–", "skipped"
-    FAULTY = "!", "fault"
-    WITHDRAWN = "↶", "again"
+    OPEN = "·", "to do", ""
+    NOW = "▶", "now", "bold reverse"
+    DONE = "✓", "done", "green"
+    SKIPPED = "–", "skipped", "dim"
+    FAULTY = "!", "fault", "bold red"
+    WITHDRAWN = "↶", "again", "yellow"
 
 
 @dataclass(frozen=True)

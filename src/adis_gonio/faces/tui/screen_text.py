@@ -82,7 +82,7 @@ def _place_name(position: Position) -> str:
 
 
 def plan_rows(state: BenchState, height: int) -> list[tuple[str, str]]:
-    """Return the rows of the list of positions, each as its text and the name of its state, such as `done`.
+    """Return the rows of the list of positions, each as its text and its style, such as `green`.
 
     The list has at most `height` rows, around the current position.
     """
@@ -90,17 +90,16 @@ def plan_rows(state: BenchState, height: int) -> list[tuple[str, str]]:
         return []
     rows = []
     for place, position in enumerate(state.plan.positions):
-        mark = state.mark(place)
-        sign, word = mark.value
-        rows.append((f"{sign} {word:<7} {_place_name(position)}", mark.name.lower()))
+        sign, word, style = state.mark(place).value
+        rows.append((f"{sign} {word:<7} {_place_name(position)}", style))
     if len(rows) <= height:
         return rows
     room = max(1, height - 2)
     centre = state.place if state.place is not None else len(rows) - 1
     first = min(max(0, centre - room // 2), len(rows) - room)
     last = first + room
-    above = (f"  ↑ {first} more" if first else "", "open")
-    below = (f"  ↓ {len(rows) - last} more" if last < len(rows) else "", "open")
+    above = (f"  ↑ {first} more" if first else "", "")
+    below = (f"  ↓ {len(rows) - last} more" if last < len(rows) else "", "")
     return [above, *rows[first:last], below]
 
 
