@@ -41,14 +41,8 @@ def test_defaults_are_those_of_the_format(tmp_path):
     assert session.reading_u_mg is None
     assert session.notes == ()
     first, second = session.dwells
-    assert (first.position, first.angle_deg, first.use, first.approach, first.first_row) == (
-        0,
-        0.0,
-        "fit",
-        0,
-        2,
-    )
-    assert (second.position, second.angle_deg, second.first_row) == (1, 90.0, 4)
+    assert (first.position, first.angle_deg, first.use, first.approach) == (0, 0.0, "fit", 0)
+    assert (second.position, second.angle_deg) == (1, 90.0)
     np.testing.assert_array_equal(first.accel, [[2000, 100], [2001, 101]])
     np.testing.assert_array_equal(second.time_s, [0.2, 0.3])
     assert first.gyro is None
@@ -88,7 +82,6 @@ def test_every_key_and_column_is_read(tmp_path):
     np.testing.assert_array_equal(b.gyro, [[4, 5, 6]])
     assert b.temperature_c[0] == 26
     assert b.supply_v[0] == 5.1
-    assert a.first_row == 12
 
 
 @pytest.mark.parametrize(
@@ -303,7 +296,6 @@ def test_a_continuous_file_becomes_dwells_with_a_note(tmp_path):
     assert len(session.dwells) == 3
     assert "3 dwells found by stillness" in session.notes[0]
     assert session.dwells[0].angle_deg is None
-    assert session.dwells[1].first_row == 3 + round(100 * session.dwells[1].time_s[0])
 
 
 def test_a_continuous_file_without_rest_says_so(tmp_path):

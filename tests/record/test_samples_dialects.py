@@ -117,7 +117,6 @@ def test_a_german_excel_file(tmp_path):
     np.testing.assert_array_equal(first.time_s, [0.0, 0.125])
     np.testing.assert_array_equal(first.accel, [[9.81, 0.01], [9.79, 0.02]])
     assert (second.time_s[0], second.angle_deg, second.approach) == (1000.5, 90.0, -1)
-    assert second.first_row == 9
     assert any(
         "time_s from 'Zeit [ms]'" in note and "ax from 'Acc_X (m/s²)'" in note for note in session.notes
     )
@@ -189,7 +188,7 @@ def test_a_row_is_named_by_its_line_however_many_were_skipped(tmp_path):
     text = "time_s,position,ax,ay\n0,0,1,2\n# a\n# b\n1,0,3,4\n#c\n2,0,x,4\n"
     assert "row 7: column 'ax': 'x' is not a number" in refusal(saved(tmp_path, text))
     session = load_session(saved(tmp_path, text.replace("2,0,x", "2,1,5")))
-    assert [d.first_row for d in session.dwells] == [2, 7]
+    assert [len(d) for d in session.dwells] == [2, 1]
 
 
 @pytest.mark.parametrize(

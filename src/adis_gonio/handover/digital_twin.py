@@ -316,7 +316,6 @@ def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
                     gyro=None,
                     temperature_c=block.temperature_c if dwell.temperature_c is not None else None,
                     supply_v=block.supply_v if dwell.supply_v is not None else None,
-                    first_row=None,
                 )
             )
     return replace(

@@ -292,8 +292,6 @@ class Dwell(SampleSeries):
         Temperature in °C (of several thermometers their mean) and supply in V; None if not recorded.
     temperatures_c : (n, 3) float or None
         Temperatures in °C of the three gyros' dies; None if not all three were recorded.
-    first_row : int or None
-        First row of the dwell in the file, for messages; None without such a file.
     turned_deg : float or None
         Declared angle of the turn from the dwell before to this dwell (`Turn.turned_deg`); None if none.
     """
@@ -307,7 +305,6 @@ class Dwell(SampleSeries):
     gyro: Floats | None = None
     temperature_c: Floats | None = None
     supply_v: Floats | None = None
-    first_row: int | None = None
     temperatures_c: Floats | None = None
     turned_deg: float | None = None
 

@@ -478,11 +478,7 @@ def _dwell(table: SamplesTable, number: int, rows: slice, **declared: Any) -> Dw
 
     `declared` has other fields of the `Dwell`, such as its angle.
     """
-    return Dwell(
-        position=number,
-        first_row=table.lines[rows.start],
-        **declared | {name: values[rows] for name, values in table.series.items()},
-    )
+    return Dwell(number, **declared | {name: values[rows] for name, values in table.series.items()})
 
 
 def _dwells_by_stillness(file: str, recording: Dwell) -> tuple[list[slice], list[str], bool]:
