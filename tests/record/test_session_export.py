@@ -119,7 +119,7 @@ def test_the_package_itself_imports_without_scipy():
 
     code = (
         "import sys, adis_gonio.record as r, adis_gonio.bench as b; "
-        "b.SessionRunner; r.read_session; r.plan; import adis_gonio.bench.events; "
+        "b.SessionRunner; r.load_session; r.plan; import adis_gonio.bench.events; "
         "print('scipy' in sys.modules)"
     )
     result = subprocess.run(
