@@ -226,6 +226,22 @@ def test_a_zero_rate_beyond_thirteen_bits_is_refused_with_what_the_register_hold
     assert gyro_offset_words(near)[1].number == -4090
 
 
+@pytest.mark.parametrize(
+    ("accel", "gyro", "assumption"),
+    [
+        ((5, -7, 0), (12, -5, 0), None),
+        ((5, -7, 0), None, "# The contents of their registers are not stated: the numbers assume 0."),
+        (None, None, "# The session does not state the contents of the registers: the numbers assume 0."),
+    ],
+    ids=["both stated", "of the accelerometers", "none"],
+)
+def test_the_offsets_say_once_which_registers_they_assume_to_be_zero(accel, gyro, assumption):
+    bare = calibration(PLANE)
+    bare = replace(bare, provenance=replace(bare.provenance, offsets_lsb=accel))
+    lines = registers_text(with_gyros(bare, ZERO, offsets_lsb=gyro)).splitlines()
+    assert [line for line in lines if "assume 0" in line] == ([assumption] if assumption else [])
+
+
 # -- certificate -----------------------------------------------------------------------------------------
 
 

@@ -53,6 +53,12 @@ def test_a_file_that_is_neither_calibration_nor_session_is_refused(tmp_path):
         offset_words_in(path)
 
 
+def test_a_calibration_without_biases_and_zero_rates_of_a_part_gives_no_offsets(tmp_path):
+    calibration(PLANE, sensor="generic").save(tmp_path / "own.json")
+    with pytest.raises(FitError, match="neither biases nor zero rates of a part"):
+        offset_words_in(tmp_path / "own.json")
+
+
 def test_what_has_no_offset_registers_or_no_bias_is_refused():
     with pytest.raises(FitError, match="belong to an ADIS16350"):
         offset_words(calibration(PLANE, sensor="generic"))
