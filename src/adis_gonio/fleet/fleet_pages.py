@@ -19,7 +19,30 @@ _MOST_ROWS = 200
 
 
 def build_page(summary: Summary, repeated: Sequence[Repeated] = (), population: Sequence[str] = ()) -> str:
-    """Render the summary of a fleet as one HTML page.
+    """Render the summary of a fleet as one HTML page; the parameters are those of `fleet_sections`.
+
+    Raises
+    ------
+    NotInstalledError
+        Matplotlib is not installed.
+    """
+    return render(
+        "Fleet",
+        counted(summary.sessions["n"], "session"),
+        shape=fleet_summary.headline(summary).rstrip("."),
+        sections=fleet_sections(summary, repeated, population),
+        closing="This page is made from the sessions' files alone and can be made again from them.",
+    )
+
+
+def fleet_sections(
+    summary: Summary,
+    repeated: Sequence[Repeated] = (),
+    population: Sequence[str] = (),
+    *,
+    figures: bool = True,
+) -> list[Section]:
+    """Return the sections on a fleet, for a page or the terminal.
 
     Parameters
     ----------
@@ -29,33 +52,19 @@ def build_page(summary: Summary, repeated: Sequence[Repeated] = (), population: 
         Files that do not count, because another file has the same data.
     population : sequence of str
         Paragraphs on the population trace; empty without one.
-
-    Raises
-    ------
-    NotInstalledError
-        Matplotlib is not installed.
+    figures : bool
+        False leaves the figures out, which need matplotlib.
     """
-    sections = [
+    copies = [(one.path, one.same_as) for one in repeated]
+    return [
         _overview(summary),
         Section("Population trace", words=population),
-        _parameters(summary),
+        _parameters(summary, figures=figures),
         _effects(summary),
         _outlying(summary),
         _files("Failed sessions", "reason", summary.failures),
-        _files(
-            "Files that count once",
-            "same session as",
-            [(one.path, one.same_as) for one in repeated],
-            folded=True,
-        ),
+        _files("Files that count once", "same session as", copies, folded=True),
     ]
-    return render(
-        "Fleet",
-        counted(summary.sessions["n"], "session"),
-        shape=fleet_summary.headline(summary).rstrip("."),
-        sections=sections,
-        closing="This page is made from the sessions' files alone and can be made again from them.",
-    )
 
 
 def _overview(summary: Summary) -> Section:
@@ -72,16 +81,15 @@ def _overview(summary: Summary) -> Section:
     return Section("Summary", key=key, words=fleet_summary.remarks(summary))
 
 
-def _parameters(summary: Summary) -> Section:
-    table = Table(
-        fleet_summary.PARAMETER_HEAD, fleet_summary.parameter_rows(summary), numeric=tuple(range(2, 8))
-    )
-    figures = [_histogram(one) for one in summary.parameters]
+def _parameters(summary: Summary, *, figures: bool) -> Section:
+    head = ["quantity", "unit", "sessions", "median", "5 %", "95 %", "mean", "robust sd"]
+    table = Table(head, fleet_summary.parameter_rows(summary), numeric=tuple(range(2, 8)))
+    drawn = [_histogram(one) for one in summary.parameters] if figures else []
     return Section(
         "Parameters",
         tables=[table] if summary.parameters else [],
-        figures=[figure for figure in figures if figure is not None],
-        notes=fleet_summary.PARAMETER_NOTES if summary.parameters else (),
+        figures=[figure for figure in drawn if figure is not None],
+        notes=["angle: error of the angle, rms over held-out dwells."] if summary.parameters else (),
     )
 
 
@@ -114,9 +122,8 @@ def _histogram(one: Distribution) -> Figure | None:
 
 def _effects(summary: Summary) -> Section:
     rows = fleet_summary.effect_rows(summary)
-    table = Table(
-        fleet_summary.EFFECT_HEAD, rows, numeric=(1, 2, 3), caption="95 % interval of the share by Wilson."
-    )
+    head = ["effect", "sessions", "share", "95 % interval"]
+    table = Table(head, rows, numeric=(1, 2, 3), caption="95 % interval of the share by Wilson.")
     none = ["No effect was found."] if summary.sessions["traced"] and not rows else []
     return Section("Effects by frequency", words=none, tables=[table] if rows else [])
 
@@ -124,7 +131,8 @@ def _effects(summary: Summary) -> Section:
 def _outlying(summary: Summary) -> Section:
     rows = fleet_summary.outlying_rows(summary)
     caption = "" if len(rows) <= _MOST_ROWS else f"The first {_MOST_ROWS} of {len(rows)}."
-    table = Table(fleet_summary.OUTLYING_HEAD, rows[:_MOST_ROWS], numeric=(2, 3, 4, 5), caption=caption)
+    head = ["group", "quantity", "here", "the others", "z", "p × tests", "of"]
+    table = Table(head, rows[:_MOST_ROWS], numeric=(2, 3, 4, 5), caption=caption)
     return Section(
         "Outlying groups",
         words=[fleet_summary.outlying_text(summary)],
@@ -152,35 +160,36 @@ def _files(title: str, head: str, rows: Sequence[tuple[str, str]], *, folded: bo
 
 def history_page(history: History) -> str:
     """Render the history of a sensor as one HTML page that needs no other file; every text is escaped."""
+    return render(
+        "History",
+        f"sensor {history.serial}",
+        shape=sensor_history.headline(history),
+        simulated=any(record.simulated for record in history.sessions),
+        sections=history_sections(history),
+        closing="This page is made from the sessions' files and can be made again from them.",
+    )
+
+
+def history_sections(history: History, *, figures: bool = True) -> list[Section]:
+    """Return the sections on the history of a sensor; `figures` is False for the terminal."""
     head, rows = sensor_history.value_rows(history)
     shape = sensor_history.headline(history)
-    sections = [
+    return [
         Section(
             "Overview",
             words=(f"{shape[:1].upper()}{shape[1:]}.",),
             tables=(Table(head, rows, "Values ± U (95 %).", tuple(range(1, len(head)))),),
             notes=tuple(f"left out: {record.path}: {reason}" for record, reason in history.left_out),
         ),
-        *(_section(track, history) for track in history.tracks.values()),
+        *(_section(track, history, figures=figures) for track in history.tracks.values()),
         Section(
             "Effects found",
             tables=(Table(["date", "effects", "model"], sensor_history.effect_table(history)),),
         ),
     ]
-    return render(
-        "History",
-        f"sensor {history.serial}",
-        shape=shape,
-        simulated=any(record.simulated for record in history.sessions),
-        sections=sections,
-        closing="This page is made from the sessions' files and can be made again from them.",
-    )
 
 
-def _section(track: Track, history: History) -> Section:
-    figures = [_over_time(track)]
-    if track.chart is not None:
-        figures.append(_cusum(track))
+def _section(track: Track, history: History, *, figures: bool) -> Section:
     sentences = [
         f"{text[:1].upper()}{text[1:]}."
         for text in (
@@ -188,7 +197,10 @@ def _section(track: Track, history: History) -> Section:
             *sensor_history.chart_sentences(track, history),
         )
     ]
-    return Section(track.label, words=sentences, figures=figures)
+    drawn = [_over_time(track)] if figures else []
+    if figures and track.chart is not None:
+        drawn.append(_cusum(track))
+    return Section(track.label, words=sentences, figures=drawn)
 
 
 def _over_time(track: Track) -> Figure:

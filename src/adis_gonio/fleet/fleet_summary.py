@@ -555,12 +555,6 @@ def _named(
     return replace(test, name=name, unit=unit, adjusted_p=min(1.0, tests * test.p_value))
 
 
-PARAMETER_HEAD = ["quantity", "unit", "sessions", "median", "5 %", "95 %", "mean", "robust sd"]
-PARAMETER_NOTES = ("angle: error of the angle, rms over held-out dwells.",)
-EFFECT_HEAD = ["effect", "sessions", "share", "95 % interval"]
-OUTLYING_HEAD = ["group", "quantity", "here", "the others", "z", "p × tests", "of"]
-
-
 def headline(summary: Summary) -> str:
     """Return the first sentence of a summary of the fleet.
 
@@ -603,7 +597,7 @@ def remarks(summary: Summary) -> list[str]:
 
 
 def parameter_rows(summary: Summary) -> list[list[str]]:
-    """Return the rows of the table of parameters, with the columns `PARAMETER_HEAD`."""
+    """Return the rows of the table of parameters."""
     rows = []
     for one in summary.parameters:
         q, sd = one.quantiles, one.robust_sd
@@ -622,7 +616,7 @@ def parameter_rows(summary: Summary) -> list[list[str]]:
 
 
 def effect_rows(summary: Summary) -> list[list[str]]:
-    """Return the rows of the table of effects, with the columns `EFFECT_HEAD`."""
+    """Return the rows of the table of effects."""
     rows = []
     for one in summary.effects:
         share, low, high = map(format_percent, (one.share, *one.wilson_95))
@@ -631,7 +625,7 @@ def effect_rows(summary: Summary) -> list[list[str]]:
 
 
 def outlying_rows(summary: Summary) -> list[list[str]]:
-    """Return the rows of the table of outlying groups, with the columns `OUTLYING_HEAD`."""
+    """Return the rows of the table of outlying groups."""
     rows = []
     for one in summary.outlying:
         values = [with_unit(format_number(value), one.unit) for value in (one.value, one.others)]

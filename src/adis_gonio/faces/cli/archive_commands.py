@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from adis_gonio.fleet.store import Store
 
 _HEAD = ("file", "serial", "operator", "stage", "date", "plan", "ΔK", "Δφ / °", "angle / °", "effects")
-_MOST_ROWS = 40
-"""Largest number of rows in a table of `fleet` on the terminal."""
 
 
 @contextmanager
@@ -138,32 +136,20 @@ def history_command(*, serial: str, output: Path | None, as_json: bool, **indexe
     The command tests for drift between sessions, keeps a control chart (CUSUM, and 3σ limits from u and the
     scatter between sessions), and lists the effects found each time. The page of -o shows the charts.
     """
-    from adis_gonio.fleet import sensor_history
+    from adis_gonio.fleet.fleet_pages import history_page, history_sections
+    from adis_gonio.fleet.sensor_history import history_of
 
     show.check_page(output)
     with _indexed(**indexed) as (store, _):
-        found = sensor_history.history_of(serial, _records_of(store, serial))
+        found = history_of(serial, _records_of(store, serial))
     if output is not None:
-        from adis_gonio.fleet.fleet_pages import history_page
-
         show.write_page(output, history_page(found))
     if as_json:
         show.print_json(found.as_dict())
         return
     screen = show.console(most=80)
-    screen.print(f"Sensor {found.serial}: {sensor_history.headline(found)}", style="bold")
-    show.print_table(screen, *sensor_history.value_rows(found))
-    for track in found.tracks.values():
-        screen.print()
-        screen.print(track.label, style="bold cyan")
-        for text in (*sensor_history.drift_sentences(track), *sensor_history.chart_sentences(track, found)):
-            show.print_indented(screen, text)
-    screen.print()
-    screen.print("Effects found", style="bold cyan")
-    for row in sensor_history.effect_table(found):
-        screen.print(f"  {'  '.join(row)}")
-    for record, reason in found.left_out:
-        screen.print(f"left out: {record.path}: {reason}")
+    screen.print(f"Sensor {found.serial}", style="bold")
+    show.print_sections(screen, history_sections(found, figures=False))
 
 
 @option.command("due")
@@ -253,7 +239,9 @@ def fleet_command(
     there: after Ctrl-C, a crash or a full disk, the same command continues. The exit status is 1 if a
     session failed.
     """
+    from adis_gonio.fleet.fleet_pages import fleet_sections
     from adis_gonio.fleet.fleet_run import ENDINGS, check_outputs, run_fleet, session_files
+    from adis_gonio.fleet.fleet_summary import headline
     from adis_gonio.fleet.session_record import Options
     from adis_gonio.fleet.workers import Cluster, LocalPool
 
@@ -276,7 +264,10 @@ def fleet_command(
     if as_json:
         show.print_json(fleet.as_dict())
     else:
-        _show_fleet(fleet)
+        screen = show.console()
+        screen.print(headline(fleet.summary), style="bold")
+        lines = fleet.population_lines
+        show.print_sections(screen, fleet_sections(fleet.summary, fleet.repeated, lines, figures=False))
     for path in outputs:
         show.report_written(path, counted(len(fleet.records), "session"))
     if fleet.failed:
@@ -300,35 +291,3 @@ def _journal(path: Path | None) -> Iterator[Store]:
                 done = counted(store.sessions, "session")
                 click.echo(f"{path} keeps {done}: the same command continues from there", err=True)
             raise
-
-
-def _show_fleet(fleet: Fleet) -> None:
-    from adis_gonio.fleet import fleet_summary
-
-    screen = show.console()
-    summary = fleet.summary
-
-    def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]], texts: int = 1) -> None:
-        if not rows:
-            return
-        screen.print()
-        screen.print(title, style="bold cyan")
-        show.print_table(screen, head, rows[:_MOST_ROWS], range(texts))
-        if len(rows) > _MOST_ROWS:
-            screen.print(f"{len(rows) - _MOST_ROWS} more: in the JSON document")
-
-    screen.print(fleet_summary.headline(summary), style="bold")
-    for line in fleet_summary.remarks(summary):
-        screen.print(line)
-    table("Parameters", fleet_summary.PARAMETER_HEAD, fleet_summary.parameter_rows(summary))
-    table("Effects by frequency", fleet_summary.EFFECT_HEAD, fleet_summary.effect_rows(summary))
-    screen.print()
-    screen.print(fleet_summary.outlying_text(summary))
-    table("Outlying groups", fleet_summary.OUTLYING_HEAD, fleet_summary.outlying_rows(summary))
-    if fleet.population_lines:
-        screen.print()
-    for line in fleet.population_lines:
-        screen.print(line)
-    table("Failed", ["file", "reason"], [list(failure) for failure in summary.failures], texts=2)
-    repeated = [[one.path, one.same_as] for one in fleet.repeated]
-    table("Count once", ["file", "same session as"], repeated, texts=2)

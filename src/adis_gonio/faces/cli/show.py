@@ -6,11 +6,11 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 from rich.cells import cell_len
@@ -21,6 +21,9 @@ from rich.text import Text
 from adis_gonio.base.jsonable import json_text
 from adis_gonio.base.numbers import format_duration
 from adis_gonio.base.tables import fold_text
+
+if TYPE_CHECKING:
+    from adis_gonio.page.document import Section
 
 WIDTH = 100
 """Largest width in columns of running text, since longer lines are hard to read."""
@@ -127,6 +130,27 @@ def print_table(
         for row in rows:
             table.add_row(*(Text(row[k]) for k in part), style="bold" if row[0] in bold else None)
         screen.print(Padding(table, (0 if part is parts[0] else 1, 0, 0, indent)))
+
+
+_MOST_ROWS = 40
+"""Largest number of rows that `print_sections` prints of a table."""
+
+
+def print_sections(screen: Console, sections: Iterable[Section]) -> None:
+    """Print the words, tables and notes of sections of a page; a section without any is left out."""
+    for section in sections:
+        if section.words or section.tables:
+            screen.print()
+            screen.print(section.title, style="bold cyan")
+        for text in section.words:
+            print_indented(screen, text)
+        for table in section.tables:
+            texts = set(range(len(table.head))) - set(table.numeric)
+            print_table(screen, table.head, table.rows[:_MOST_ROWS], texts)
+            if len(table.rows) > _MOST_ROWS:
+                screen.print(f"{len(table.rows) - _MOST_ROWS} more: in the JSON document")
+        for text in section.notes:
+            print_indented(screen, text)
 
 
 def check_page(output: Path | None) -> None:
