@@ -144,6 +144,7 @@ SLOW = frozenset(
         "sim/testing/test_simulated_board.py",
         "simulated_bench",
         "tracing/test_blind_sessions.py",
+        "tracing/test_further_terms.py",
         "tracing/test_joint_trace.py",
         "tracing/test_moving_lines.py",
         "tracing/test_trace_aliases.py",

@@ -363,7 +363,7 @@ def test_the_document_has_the_comparison_only_if_asked(
     assert abs(k2["value"] - 3) < 3 * k2["u"]
 
 
-def test_the_report_compares_the_models(
+def test_the_report_compares_the_models_and_shows_what_one_more_term_buys(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     page = tmp_path / "page.html"
@@ -371,8 +371,10 @@ def test_the_report_compares_the_models(
         main(["report", str(session), "--with", "cubic:x", "--without", "quadratic", "-o", str(page)]) == 0
     )
     text = page.read_text(encoding="utf-8")
-    heading = "<h2>What if: with cubic:x, without quadratic</h2>"
-    assert "<svg" in text.split(heading)[1].split("</section>")[0]
+    for heading in ("What if: with cubic:x, without quadratic", "What each further term buys"):
+        assert f"<h2>{heading}</h2>" in text
+        assert "<svg" in text.split(f"<h2>{heading}</h2>")[1].split("</section>")[0]
+    assert ": one more " in text
     capsys.readouterr()
     wrong = ["report", str(session), "--with", "mine_x = gx", "-o", str(tmp_path / "no.html")]
     assert main(wrong) == 2

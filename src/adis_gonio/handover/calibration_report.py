@@ -27,7 +27,7 @@ from adis_gonio.base.numbers import (
     use_minus,
     with_unit,
 )
-from adis_gonio.base.uncertainty import Value
+from adis_gonio.base.uncertainty import NORMAL_95, Value
 from adis_gonio.device.sensor.settings import compensations
 from adis_gonio.fitting import FitResult
 from adis_gonio.fitting.answer import Answer, format_dof, format_share, method_tables
@@ -40,6 +40,7 @@ from adis_gonio.tracing import trace_summary as words
 from adis_gonio.tracing.trace_figures import Panel, Views, views_of, what_if_panels
 from adis_gonio.tracing.trace_result import TraceResult
 from adis_gonio.tracing.traced_answer import answer_with_trace
+from adis_gonio.tracing.what_if import next_term
 
 _COVARIATES = {
     "angle": "declared angle / °",
@@ -397,6 +398,48 @@ def what_if_section(traced: TraceResult) -> list[Section]:
     return [Section(words.asked(traced.what_if), points=points, tables=[table], figures=figures)]
 
 
+def further_terms_section(traced: TraceResult) -> Section:
+    """Return the section on the gain by each further term of the model: evidence and held-out error.
+
+    It has a sentence, a table and two figures.
+    """
+    bought = traced.bought()
+    if not bought:
+        return Section("What each further term buys")
+    unit = traced.before.unit
+    count = np.array([len(one.terms) for one in bought])
+    error, u, nats = (
+        np.array([getattr(one, name) for one in bought]) for name in ("heldout_rms", "u", "log_evidence")
+    )
+    chosen = np.array([one.chosen for one in bought])
+    figures = []
+    for values, bars, y in (
+        (error, u, f"left out / {unit}"),
+        (nats - nats.max(), None, "log evidence − best"),
+    ):
+        series = [Series(count, values, "best of this number", bars, "before")]
+        series.append(Series(count[chosen], values[chosen], "chosen model", role="after"))
+        ticks = {float(k): str(k) for k in count}
+        title = f"{y} against the number of terms"
+        figures.append(Figure(plot(series, "terms", y, title=title, x_ticks=ticks), title))
+    rows = [
+        [
+            str(len(one.terms)),
+            " + ".join(one.terms) or "base model",
+            format_number(one.log_evidence),
+            format_number(one.heldout_rms),
+            format_uncertain(one.gain, NORMAL_95 * one.u) if one.terms else DASH,
+            "yes" if one.efficient else "no",
+        ]
+        for one in bought
+    ]
+    head = ["terms", "best model", "log evidence", f"left out / {unit}", f"gain ± U / {unit}", "efficient"]
+    caption = "Efficient: no model of fewer terms has more evidence and a smaller left-out error."
+    table = Table(head, rows, numeric=(0, 2, 3, 4), caption=caption)
+    lead = [next_term(bought, unit)]
+    return Section("What each further term buys", words=lead, tables=[table], figures=figures)
+
+
 def rivals_section(traced: TraceResult) -> Section:
     """Return the section with the most probable models and their probabilities."""
     rows = [
@@ -614,7 +657,8 @@ def build_page(
     if result is not None:
         shown = result.views or views_of(readings_of(session), result)
         body += [*what_if_section(result), found_section(result), errors_section(result)]
-        body += [steps_section(result, shown), residual_section(shown), within_section(result)]
+        body += [further_terms_section(result), steps_section(result, shown)]
+        body += [residual_section(shown), within_section(result)]
         body += [rivals_section(result), sight_section(result)]
         body += [Section("What to measure next", points=words.advice(result))]
     body += [*sections, data_section(session, result, known)]

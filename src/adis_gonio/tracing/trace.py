@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -54,7 +55,7 @@ from adis_gonio.tracing.trace_result import (
     TraceResult,
     Unnamed,
 )
-from adis_gonio.tracing.what_if import FREE, AskedModel, compare
+from adis_gonio.tracing.what_if import FREE, AskedModel, bought_by_terms, compare
 
 UNCHECKED = "the time limit ended the trace before this was checked"
 """Reason that the result gives for each term of a model that was not validated."""
@@ -432,6 +433,7 @@ class TraceRun:
             advice=advice,
             measurements=measurements,
             base={**findings.base_of(final), **zeros},
+            bought=partial(bought_by_terms, selection, self.fits, self.fold, self.checking),
             reasons=self.names.rejected,
             notes=tuple(self.notes),
         )

@@ -308,6 +308,10 @@ class Fold:
         default_factory=dict, init=False, repr=False, compare=False
     )
 
+    def __contains__(self, fit: Fit) -> bool:
+        """Return True if residuals of this very fit were computed in the folds."""
+        return any(known == id(fit) for known, _ in self._made)
+
     def left_out(
         self, data: Readings, designs: Mapping[str, list[NDArray[np.bool_]]], fit: Fit | None = None
     ) -> dict[str, HeldOut]:

@@ -6,11 +6,17 @@ forced candidates only. The result compares the base model, the best model of a 
 model. The log evidence of a model is its restricted likelihood after a refit, minus the prices of its
 terms, which contain the prior probability of the model. All models are judged by the noise of the best
 model, except for scatter that the asked model itself needs.
+
+The gain by each further term is stated too, as evidence and held-out error against the number of terms. The
+search has scored models of every number of terms. The best one of each number is fitted again and predicts
+the held-out dwells with its terms kept. All models are compared on the same dwells.
 """
 
 from __future__ import annotations
 
+import heapq
 import math
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -21,6 +27,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import HIDDEN, INLINE, JsonRecord, key
+from adis_gonio.base.numbers import counted, format_number, with_unit
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
@@ -29,10 +36,11 @@ from adis_gonio.model.effects import AXES, catalogue, effect
 from adis_gonio.model.effects.formula import FormulaEffect, formula_effect
 from adis_gonio.tracing import validation
 from adis_gonio.tracing.findings import differs_from_zero, finding_of
-from adis_gonio.tracing.linear_problem import linearise, span
-from adis_gonio.tracing.model_search import price
+from adis_gonio.tracing.linear_problem import amplitudes, linearise, span
+from adis_gonio.tracing.model_search import Model, price
 from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.scatter import log_evidence, price_of_scatter
+from adis_gonio.tracing.selection import Selection
 from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.trace_result import ErrorFigures
 
@@ -346,3 +354,142 @@ def _errors(free: TraceRun, asked: TraceRun) -> list[ErrorFigures]:
         replace(figure, heldout_kept=None, **validation.heldout_errors(data, left))
         for figure, left in zip(figures, lefts, strict=True)
     ]
+
+
+MOST_FURTHER = 1
+"""Number of terms beyond the chosen model: the search has scored all its extensions by one term."""
+_TRIED = 50
+"""Number of the best models among which one is sought that predicts other readings."""
+
+
+@dataclass(frozen=True)
+class Bought:
+    """The best model of one number of terms, with its held-out error.
+
+    Attributes
+    ----------
+    terms : tuple of str
+        Terms in addition to the base model.
+    log_evidence : float
+        Log evidence relative to the base model, in nats.
+    heldout_rms : float
+        Held-out error in the unit of the readings.
+    gain, u : float
+        Decrease of the held-out error by the last term, and its standard uncertainty over the dwells.
+    efficient, chosen : bool
+        True if no model of fewer terms has more evidence and a smaller held-out error; True for the model
+        that the search chose.
+    """
+
+    terms: tuple[str, ...]
+    log_evidence: float
+    heldout_rms: float
+    gain: float
+    u: float
+    efficient: bool
+    chosen: bool
+
+
+def best_by_terms(selection: Selection, nested: Sequence[Fit]) -> list[tuple[Fit, float]]:
+    """Return the best scored model of each number of terms; the chosen model is the best of its number.
+
+    Each has its log evidence relative to the base model, in nats. A model that the trace has not fitted has
+    its amplitudes in the linear problem.
+
+    A model with more terms than the chosen one counts only if it predicts other readings. For example, two
+    terms for one axis each predict nothing new if the chosen model has one term for both axes. `nested` are
+    the fits of the trace.
+    """
+    found, chosen, problem = selection.found, tuple(sorted(selection.verdict.best)), selection.found.problem
+    by_size: dict[int, list[Model]] = defaultdict(list)
+    for model in found.scores:
+        if len(model) <= len(chosen) + MOST_FURTHER:
+            by_size[len(model)].append(model)
+    by_size[len(chosen)] = [chosen]
+    made = {frozenset(term.label for term in fit.terms): fit for fit in nested}
+    out: list[tuple[Fit, float]] = []
+    explained = -np.inf
+    for size in sorted(by_size):
+        for model in heapq.nlargest(_TRIED, by_size[size], key=lambda m: found.scores.get(m, 0.0)):
+            half = 0.5 * problem.gain(model) / found.inflation
+            if size <= len(chosen) or half > explained + 0.5 * limits.same_prediction:
+                explained = half
+                terms = [problem.terms[k] for k in model]
+                values = zip(terms, amplitudes(problem, model), strict=True)
+                begun = selection.base.with_terms(terms, [term.start(own) for term, own in values])
+                fit = made.get(frozenset(term.label for term in terms), begun)
+                evidence = half - float(found.prices[list(model)].sum())
+                out.append((fit, evidence))
+                break
+    return out
+
+
+def bought_by_terms(
+    selection: Selection, nested: Sequence[Fit], fold: validation.Fold, checking: Readings | None = None
+) -> list[Bought]:
+    """Return the held-out errors of the best models of each number of terms; empty if no dwell is held out.
+
+    `nested` are the fits of the trace; `fold` has the residuals that it has computed in its folds.
+    `checking` are the check dwells, which are then the held-out dwells. A dwell counts if the chosen model
+    is determined without it.
+    """
+    models = best_by_terms(selection, nested)
+    fits = [fit if fit in fold else fit.refit() for fit, _ in models]
+    is_chosen = [len(fit.terms) == len(selection.terms) for fit in fits]
+    data = fits[0].data
+    # The terms of a fit are kept, and their values are fitted again without the held-out dwells.
+    if checking is not None:
+        left_out = [[validation.residuals_on(fit, checking)] for fit in fits]
+    elif validation.leaves_too_few(fits[-1]):
+        left_out = validation.leave_each_out(fits)[0]
+    else:
+        chosen = is_chosen.index(True)
+        left_out = validation.held_out_alike(
+            [(fold, data, fit) for fit in fits], fits[chosen].terms, [chosen]
+        )[0]
+    squares = [
+        np.concatenate([(part.residual**2).sum(axis=1) for part in parts]) if parts else np.zeros(0)
+        for parts in left_out
+    ]
+    if not squares[0].size:
+        return []
+    each = data.axes if data.by_axis else 1
+    errors = [float(np.sqrt(own.mean() / each)) for own in squares]
+    out: list[Bought] = []
+    for k, (_, evidence) in enumerate(models):
+        before = max(k - 1, 0)
+        # Change of the root mean square by each dwell: a paired difference of two models, to first order.
+        per_dwell = (squares[before] / errors[before] - squares[k] / errors[k]) / (2 * each)
+        fewer = [one for one in out if one.log_evidence >= evidence]
+        out.append(
+            Bought(
+                tuple(term.label for term in fits[k].terms),
+                evidence,
+                errors[k],
+                errors[before] - errors[k],
+                float(per_dwell.std(ddof=1) / np.sqrt(len(per_dwell))) if len(per_dwell) > 1 else np.inf,
+                not any(one.heldout_rms <= errors[k] for one in fewer),
+                is_chosen[k],
+            )
+        )
+    return out
+
+
+def next_term(bought: Sequence[Bought], unit: str) -> str:
+    """Return a sentence on the benefit of one more term than the chosen model has.
+
+    `bought` has the best model of each number of terms, and `unit` is the unit of their held-out errors.
+    """
+    here = next(k for k, one in enumerate(bought) if one.chosen)
+    terms = counted(len(bought[here].terms), "term")
+    if here + 1 == len(bought):
+        return f"{terms}: the search scored no further one that changes the prediction."
+    after = bought[here + 1]
+    nats = after.log_evidence - bought[here].log_evidence
+    gain = with_unit(format_number(after.gain, 2), unit)
+    sized = "less" if after.gain < after.u else "more"
+    buys = f"buys {gain} of the left-out error, {sized} than its uncertainty of {format_number(after.u, 2)}"
+    if after.gain <= 0:
+        buys = "does not lower the left-out error"
+    changes = f"{'lowers' if nats < 0 else 'raises'} the log evidence by {format_number(abs(nats), 2)}"
+    return f"{terms}: one more {buys} and {changes}."
