@@ -267,8 +267,10 @@ def test_check_dwells_are_left_out():
     assert readings.checking.position.tolist() == [1]
     with pytest.raises(FitError, match="none to fit"):
         assert reduced(session(dwell([[5.0, 6.0]], 1, use="check"))).training
-    with pytest.raises(DataError, match="no dwell to fit"):
+    with pytest.raises(DataError, match="no dwell to fit; every dwell is empty"):
         reduced(session())
+    with pytest.raises(DataError, match="a free turn has no positions; use fit"):
+        reduced(session(free_turn=True))
 
 
 def test_third_axis_is_left_out_in_the_plane_and_needed_in_space():

@@ -10,13 +10,13 @@ import pytest
 
 from adis_gonio import load_session
 from adis_gonio.base.arrays import central_differences
-from adis_gonio.base.errors import FitError, UsageError
+from adis_gonio.base.errors import DataError, FitError, UsageError
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.model.effects import effect
 from adis_gonio.model.effects.base import lagged
 from adis_gonio.model.measurement import FreeAttitude, JointMeasurement, PlanarTurn, SessionOrigin
-from adis_gonio.model.records import Session
+from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing import joint_trace
 from adis_gonio.tracing.joint_trace import JointResult, stack, trace_sessions, trace_stacked
 from adis_gonio.tracing.linear_problem import Products, amplitudes, linearise, span
@@ -291,6 +291,13 @@ def test_columns_by_session_give_what_columns_over_all_rows_give(parts, stages) 
         basis, residual = span(problem, model)
         ours, theirs = (one.gains(basis, residual)[outside] for one in (problem, dense))
         np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-5)
+
+
+def test_a_free_turn_among_the_sessions_is_named_with_the_remedy() -> None:
+    rest = Dwell(position=0, time_s=np.arange(5.0), accel=np.ones((5, 2)), angle_deg=None)
+    free = Session(dwells=(), recording=rest, free_turn=True, source="turn.csv", accel_unit="mg")
+    with pytest.raises(DataError, match=r"^turn\.csv: a free turn has no positions; use fit"):
+        trace_sessions([free, replace(free, recording=replace(rest, accel=np.zeros((5, 2))))])
 
 
 def test_a_less_exact_score_of_a_model_replaces_no_other() -> None:

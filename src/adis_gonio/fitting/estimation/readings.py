@@ -615,8 +615,13 @@ def _usable(session: Session, axes: int) -> tuple[list[Dwell], screening.Convert
     """
     source = session.source or "session"
     dwells = [dwell for dwell in session.dwells if len(dwell)]
+    if session.free_turn and not dwells:
+        raise DataError(
+            f"{source}: a free turn has no positions; use fit with this file alone, or measure positions"
+            " (calibrate --plan tumble)"
+        )
     if not dwells:
-        raise DataError(f"{source}: no dwell to fit; every dwell is empty or for checking")
+        raise DataError(f"{source}: no dwell to fit; every dwell is empty")
     if dwells[0].accel.shape[1] < axes:
         raise DataError(f"{source}: plane none needs three axes, there are two")
     converter = screening.converter_of([replace(dwell, accel=dwell.accel[:, :axes]) for dwell in dwells])
