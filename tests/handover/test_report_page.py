@@ -297,6 +297,8 @@ def test_effects_of_what_was_not_recorded_are_said_to_be_unseen(curved):
 def test_groups_that_begin_alike_are_one_line(curved):
     many = replace(curved[1], confounded=(("bias", "cubic"), ("bias", "asymmetry"), ("quadratic", "cubic")))
     assert confounded(many) == ["bias — or cubic, or asymmetry", "quadratic — or cubic"]
+    explained = replace(many, reasons={"quadratic": "few angles"})
+    assert confounded(explained) == ["bias — or cubic, or asymmetry", "quadratic — or cubic: few angles"]
 
 
 @pytest.mark.parametrize(

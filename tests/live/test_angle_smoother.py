@@ -189,6 +189,14 @@ def test_another_parts_gyro_calibration_is_found_out():
         angles = told(AngleSmoother(sensing(turning), knowledge, lag_s=0.25), turning.drawn(10))
         assert ("gyro_calibration" in angles[-1].notes) is doubted
         assert np.abs(z_of(turning, angles)[during(angles, 6, 12)]).max() < 4.5
+        if doubted:  # the turn is then known as without a calibration
+            plain = told(AngleSmoother(sensing(turning), lag_s=0.25), turning.drawn(10))
+            turned = during(angles, 8.5, 9.5)
+            u = [
+                np.mean([a.u_deg for a, m in zip(found, turned, strict=True) if m])
+                for found in (angles, plain)
+            ]
+            assert u[0] == pytest.approx(u[1], rel=0.2)
 
 
 def test_a_calibration_of_the_gyro_makes_u_smaller():

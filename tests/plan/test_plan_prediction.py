@@ -90,6 +90,15 @@ def test_what_two_positions_cannot_see_stands_in_their_uncertainty():
     assert all(one.amplitude is None for one in told.sight.detectable.values())
 
 
+@pytest.mark.parametrize("fixture_deg", [0.5, 5.0])
+def test_at_four_positions_the_stage_alone_determines_the_angle_between_the_axes(fixture_deg):
+    told = predict_uncertainty(plan("four-position"), Bench(fixture_deg)).parameters
+    # From 0°, X has its zeros at 90° and 270°, Y at 0° and 180°: each pair gives the angle of an axis.
+    assert told["delta_phi"].u == pytest.approx(fixture_deg, rel=0.02)
+    assert told["alpha"].u == pytest.approx(fixture_deg / math.sqrt(2), rel=0.02)
+    assert {"delta_k", "bias_x", "bias_y"} < told.keys()
+
+
 def test_positions_in_space_are_refused():
     with pytest.raises(UsageError, match="attitudes in space"):
         predict(plan("poses"), Bench(0.02))

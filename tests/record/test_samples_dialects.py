@@ -213,6 +213,15 @@ def test_a_time_without_a_unit_that_may_be_in_ms_is_refused_with_the_remedy(tmp_
     session = load_session(path, Overrides(columns={"time_ms": "time"}))
     assert session.dwells[0].time_s[1] == 0.01
     assert load_session(path, Overrides(columns={"time_s": "time"})).dwells[0].time_s[1] == 10
+    # Loggers of one row a second are usual, and 2 ms are a usual period of samples in ms.
+    for step, refused in ((1, False), (2, True)):
+        path = saved(
+            tmp_path, "time,position,ax,ay\n" + "".join(f"{step * k},0,{k},2\n" for k in range(20))
+        )
+        if refused:
+            assert "time_ms" in refusal(path)
+        else:
+            assert load_session(path).dwells[0].time_s[1] == step
 
 
 @pytest.mark.parametrize(

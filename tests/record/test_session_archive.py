@@ -308,6 +308,15 @@ def test_a_truncated_file_is_one_line_and_left_as_it_is(tmp_path, kept):
     assert path.read_bytes() == content
 
 
+def test_a_file_of_full_length_with_a_destroyed_table_of_contents_is_not_called_truncated(tmp_path):
+    path = session_file(tmp_path / "a.session")
+    content = bytearray(path.read_bytes())
+    content[100:4096] = b"\xff" * 3996
+    path.write_bytes(content)
+    with pytest.raises(DataError, match="is damaged"):
+        read_session(path)
+
+
 def test_a_flipped_bit_in_the_samples_is_found(tmp_path):
     path = session_file(tmp_path / "a.session")
     content = bytearray(path.read_bytes())

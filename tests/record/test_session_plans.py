@@ -148,5 +148,6 @@ def test_plans_that_see_a_bias_have_no_blindness(name):
 
 def test_a_position_says_where_it_is():
     assert str(Position(90.0)) == "90°"
+    assert str(Position(0.0, turned_deg=-719.9)) == "2 turns clockwise"
     assert str(Position(90.0, -1, "check")) == "90° from above (check)"
     assert str(Position(None, 0)) == "a new attitude"

@@ -293,6 +293,14 @@ def test_values_that_stand_still_are_found():
     assert finding.places[0].time_s == pytest.approx(samples.time_s[5][200], abs=0.02)
 
 
+@pytest.mark.parametrize(("noise_steps", "shown"), [(0.9, True), (0.25, False)])
+def test_values_that_stand_still_are_normal_if_the_noise_is_below_the_converters_step(noise_steps, shown):
+    samples = draw(np.random.default_rng(2), noise_mg=noise_steps * 0.5, lsb_mg=0.5, filter_m=0)
+    rows = [own.copy() for own in samples.values]
+    rows[5][200:300, 0] = rows[5][200, 0]
+    assert (only(samples.with_values(rows), "stuck") is not None) is shown
+
+
 def test_several_things_at_once_are_all_found():
     def everything(k, time, rng):
         elapsed = time - time[0]
