@@ -112,33 +112,6 @@ def connect(path: Path, *, write: bool) -> sqlite3.Connection:
     return connection
 
 
-def create(path: Path) -> sqlite3.Connection:
-    """Create an empty session file and open it; the caller runs `statements()` in its first transaction.
-
-    Raises
-    ------
-    UsageError
-        The file exists already and is not empty.
-    SessionError
-        The file cannot be created here.
-    """
-    try:
-        path.touch(exist_ok=False)
-    except FileExistsError:
-        if not path.is_file() or path.stat().st_size > 0 or path.with_name(f"{path.name}-journal").exists():
-            raise exists_error(path, "resume it or choose another name") from None
-    except OSError as error:
-        raise SessionError(f"{path}: cannot be made: {error.strerror}") from None
-    connection = _open(path, "rw")
-    try:
-        with translated_errors(path):
-            make_durable(connection)
-    except BaseException:
-        connection.close()
-        raise
-    return connection
-
-
 def set_aside(path: Path) -> Path:
     """Rename a file to the first unused name of the form `stem.1.suffix`, and return the new name.
 
@@ -634,17 +607,27 @@ class Archive(ArchiveView):
         Raises
         ------
         UsageError
-            The file exists already.
+            The file exists already and is not empty.
         SessionError
             The file cannot be created here.
         """
         path = Path(path)
-        archive = cls(path, create(path))
+        try:
+            path.touch(exist_ok=False)
+        except FileExistsError:
+            journal = path.with_name(f"{path.name}-journal")
+            if not path.is_file() or path.stat().st_size > 0 or journal.exists():
+                raise exists_error(path, "resume it or choose another name") from None
+        except OSError as error:
+            raise SessionError(f"{path}: cannot be made: {error.strerror}") from None
+        archive = cls(path, _open(path, "rw"))
         values = dict(vars(header)) | {"plan": header.plan.as_dict(), "settings": dict(header.settings)}
         if header.fixture_sigma_deg is not None and math.isinf(header.fixture_sigma_deg):
             values["fixture_sigma_deg"] = "free"
         values["created_utc"] = header.created_utc or schema.utc_now()
         try:
+            with translated_errors(path):
+                make_durable(archive._connection)
             with archive._transaction(new=True):
                 for statement in schema.statements():
                     archive._connection.execute(statement)
