@@ -91,16 +91,20 @@ Shorter rests show little but white noise."""
 
 def allan_page(result: AllanResult) -> str:
     """Return the noise at rest as one HTML page that needs no other file; every text is escaped."""
-    name = result.title or result.source or "session"
     whole = section_of(result)
     return render(
         "Noise at rest",
-        f"{allan_fit.PARTS[result.part]} of {name}",
+        title_of(result),
         shape=result.sensor,
         simulated=result.simulated,
         sections=[replace(whole, title="Recording", parts=()), *whole.parts],
         closing="This page is made from the session's file and can be made again from it.",
     )
+
+
+def title_of(result: AllanResult) -> str:
+    """Return the part and the session of a result, such as `gyros of rest.csv`."""
+    return f"{allan_fit.PARTS[result.part]} of {result.title or result.source or 'session'}"
 
 
 def noise_section(session: Session) -> Section | None:
@@ -116,8 +120,8 @@ def noise_section(session: Session) -> Section | None:
     return section_of(result) if slow or result.longest_s >= LONG_S else None
 
 
-def section_of(result: AllanResult) -> Section:
-    """Return a section with the content of `allan_page`, for another page."""
+def section_of(result: AllanResult, *, figures: bool = True) -> Section:
+    """Return a section with the content of `allan_page`; `figures` is False for the terminal."""
     return Section(
         f"Noise of the {allan_fit.PARTS[result.part]} at rest",
         words=(f"{allan_fit.headline(result)}.",),
@@ -128,11 +132,11 @@ def section_of(result: AllanResult) -> Section:
             " maximum likelihood, not to the points of the plot.",
             "A noise that was not separately detected has an upper limit (95 %).",
         ],
-        parts=[_section(result, axis) for axis in result.axes],
+        parts=[_section(result, axis, figures=figures) for axis in result.axes],
     )
 
 
-def _section(result: AllanResult, axis: AxisNoise) -> Section:
+def _section(result: AllanResult, axis: AxisNoise, *, figures: bool) -> Section:
     rows: list[tuple[str, ...]] = []
     absent: list[str] = []
     for parameter in axis.parameters:
@@ -144,7 +148,7 @@ def _section(result: AllanResult, axis: AxisNoise) -> Section:
     return Section(
         f"{axis.axis.upper()}",
         points=[*absent, *axis.notes],
-        figures=(_figure(result, axis),),
+        figures=(_figure(result, axis),) if figures else (),
         tables=(Table(("noise", *allan_fit.HEAD[1:]), rows, numeric=(1, 2, 3, 4)),),
     )
 

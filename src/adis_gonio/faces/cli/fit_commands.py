@@ -281,18 +281,17 @@ def allan_command(
     limit. docs/gyros.md explains how long to record.
     """
     from adis_gonio.fitting.allan import fit_allan
+    from adis_gonio.handover.gyro_report import allan_page, section_of, title_of
 
     show.check_page(output)
     loaded = option.load(session, overrides)
     with show.report_progress(f"noise of {session.name}"):
         found = fit_allan(loaded, part, filter_m=filter_m)
     if output is not None:
-        from adis_gonio.handover.gyro_report import allan_page
-
         show.write_page(output, allan_page(found))
     if as_json:
         show.print_json(found.as_dict())
     else:
         screen = show.console(most=80)
-        for line in found.summary().splitlines():
-            screen.print(line)
+        screen.print(f"Noise at rest of the {title_of(found)} ({found.sensor})", style="bold")
+        show.print_sections(screen, [section_of(found, figures=False)])

@@ -137,20 +137,22 @@ _MOST_ROWS = 40
 
 
 def print_sections(screen: Console, sections: Iterable[Section]) -> None:
-    """Print the words, tables and notes of sections of a page; a section without any is left out."""
+    """Print words, points, tables, notes and parts of sections of a page; empty sections are left out."""
     for section in sections:
-        if section.words or section.tables:
+        texts = [*section.words, *section.points]
+        if texts or section.tables:
             screen.print()
             screen.print(section.title, style="bold cyan")
-        for text in section.words:
+        for text in texts:
             print_indented(screen, text)
         for table in section.tables:
-            texts = set(range(len(table.head))) - set(table.numeric)
-            print_table(screen, table.head, table.rows[:_MOST_ROWS], texts)
+            words = set(range(len(table.head))) - set(table.numeric)
+            print_table(screen, table.head, table.rows[:_MOST_ROWS], words)
             if len(table.rows) > _MOST_ROWS:
                 screen.print(f"{len(table.rows) - _MOST_ROWS} more: in the JSON document")
         for text in section.notes:
             print_indented(screen, text)
+        print_sections(screen, section.parts)
 
 
 def check_page(output: Path | None) -> None:

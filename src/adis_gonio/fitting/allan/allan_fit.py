@@ -6,7 +6,6 @@ The result has coefficients with uncertainties or limits, as JSON, a table and n
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -273,10 +272,6 @@ class AllanResult:
             notes=self.notes,
         )
 
-    def summary(self) -> str:
-        """Return a table of at most 80 columns with notes, as `adis-gonio allan` prints it."""
-        return "\n".join(table_lines(self))
-
     def __repr__(self) -> str:
         held = "; ".join(
             f"{found.axis}: "
@@ -288,7 +283,6 @@ class AllanResult:
 
 _FEW_DOF = 3.0
 HEAD = ("", "value", "u", "95 % interval", "ν", "unit")
-_WIDTHS = (26, 9, 9, 18, 7)
 _MANY_DOF = 9999
 
 
@@ -389,36 +383,6 @@ def headline(result: AllanResult) -> str:
     rate_hz = format_number(1 / result.period_s, 4)
     held = f"{format_number(result.duration_s, 4)} s in {records} at {rate_hz} Hz"
     return f"{held}, filter M = {result.filter_m}" if result.filter_m or result.filter_known else held
-
-
-def table_lines(result: AllanResult) -> Iterator[str]:
-    """Yield the lines of text that show the result, each at most 80 columns wide."""
-    name = result.title or result.source or "session"
-    yield from _folded(f"Noise at rest of the {PARTS[result.part]} of {name} ({result.sensor})", "")
-    for text in (headline(result), *result.notes):
-        yield from _folded(text)
-    for axis in result.axes:
-        yield ""
-        yield _row((axis.axis.upper(), *HEAD[1:]))
-        for parameter in axis.parameters:
-            if parameter.present:
-                name, *numbers = cells(parameter)
-                yield _row((f"  {name}", *numbers))
-            elif parameter.kind != "quantization":
-                yield f"  {name_shown(parameter)} / {format_unit(parameter.unit)}"
-                yield f"    {missing(parameter)}"
-        for note in axis.notes:
-            yield from _folded(note)
-
-
-def _row(texts: tuple[str, ...]) -> str:
-    name, *numbers, unit = texts
-    shown = [f"{text:>{width}}" for text, width in zip(numbers, _WIDTHS[1:], strict=True)]
-    return f"{name:<{_WIDTHS[0]}}{''.join(shown)} {unit}".rstrip()
-
-
-def _folded(text: str, indent: str = "  ") -> list[str]:
-    return textwrap.wrap(text, 80, initial_indent=indent, subsequent_indent=indent + "  ")
 
 
 LEAST = 128
