@@ -81,9 +81,9 @@ def test_a_careful_operator_is_asked_nothing_and_both_gravity_and_gyro_tell_the_
 def test_the_live_angle_follows_the_stage_and_comes_to_the_target(sensor, path):
     events, _ = by_hand(sensor, path)
     for event in of(events, DwellProgress):
-        assert event.target_deg is not None
-        assert abs(event.angle_deg - event.target_deg) < 6
-        assert event.temperature_c is not None
+        assert event.newest.target_deg is not None
+        assert abs(event.newest.angle_deg - event.newest.target_deg) < 6
+        assert event.newest.temperature_c is not None
     moving = [event.angle_deg for event in of(events, Watching) if event.target_deg == 90.0]
     assert moving[0] < 10
     assert moving[-1] > 80

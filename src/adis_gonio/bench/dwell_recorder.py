@@ -22,6 +22,7 @@ from adis_gonio.bench.events import (
     Problem,
     StageMoved,
     Watching,
+    WatchState,
 )
 from adis_gonio.bench.guards import Guard, drift_guard, judge_dwell, judge_shift
 from adis_gonio.bench.recorder import BROKEN_STREAM, Recorder
@@ -98,13 +99,6 @@ class Recording:
         """Number of samples of the dwell so far."""
         begin, stop = np.searchsorted(self._times, self._span_s)
         return int(stop - begin)
-
-    @property
-    def lost(self) -> int:
-        """Number of scans lost within the dwell, in all blocks with a sample of the dwell."""
-        begin_s, end_s = self._span_s
-        within = (b for b in self._blocks if b.time_s[-1] >= begin_s and b.time_s[0] < end_s)
-        return sum(block.lost for block in within)
 
     @property
     def waited_s(self) -> float:
@@ -348,25 +342,16 @@ class DwellRecorder(Recorder):
 
     def _look_event(self, recording: Recording, look: Look) -> Watching | DwellProgress:
         """Return the event that shows the newest window, before the dwell or during it."""
-        knowledge, target_deg = self._knowledge, recording.position.angle_deg
-        if not recording.begun:
-            waits_for = "the part to settle" if recording.is_still else f"rest: {recording.why_moving}"
-            state: Literal["settling", "moving"] = "settling" if recording.is_still else "moving"
-            return knowledge.watching(state, look.mean_mg, look.spread_mg, target_deg, waits_for)
-        return DwellProgress(
-            recording.place,
-            recording.elapsed_s,
-            recording.dwell_s,
-            recording.samples,
-            recording.lost,
-            vector(look.mean_mg),
-            vector(look.spread_mg),
-            knowledge.angle_deg(look.mean_mg, target_deg)[0],
-            target_deg,
-            knowledge.limit_mg,
-            "the dwell to end",
-            knowledge.temperature_c,
+        state: WatchState = "settling" if recording.is_still else "moving"
+        waits_for = "the part to settle" if recording.is_still else f"rest: {recording.why_moving}"
+        if recording.begun:
+            state, waits_for = "recording", "the dwell to end"
+        newest = self._knowledge.watching(
+            state, look.mean_mg, look.spread_mg, recording.position.angle_deg, waits_for
         )
+        if not recording.begun:
+            return newest
+        return DwellProgress(recording.place, recording.elapsed_s, recording.dwell_s, newest)
 
     def _disturbance(self, recording: Recording, look: Look) -> _Broken | None:
         """Judge a window of the stillness watch; return the disturbance if it ends a dwell, else None."""

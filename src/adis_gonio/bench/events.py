@@ -11,6 +11,7 @@ from typing import Any, Literal, dataclass_transform
 from adis_gonio.record.plans import Plan, Position
 
 Vector = tuple[float, float, float]
+WatchState = Literal["idle", "measuring", "moving", "settling", "recording"]
 
 GuardKind = Literal[
     "not_moved", "reversed", "wrong_axis", "wrong_angle", "upside_down", "shock",
@@ -115,12 +116,12 @@ class StageMoved(Event):
 
 
 class Watching(Event):
-    """Newest readings of the sensor outside a dwell.
+    """Newest readings of the sensor; those of a dwell come with its `DwellProgress`.
 
     Attributes
     ----------
     state : str
-        `idle` during a question, `measuring` the noise, `moving`, or `settling` when still.
+        `idle` during a question, `measuring` the noise, `moving`, `settling` when still, or `recording`.
     accel_mg : Vector
         Mean of the newest window in mg.
     spread_mg : Vector
@@ -141,7 +142,7 @@ class Watching(Event):
         Distance from `target_deg` within which no guard questions `angle_deg`; None before the first dwell.
     """
 
-    state: Literal["idle", "measuring", "moving", "settling"]
+    state: WatchState
     accel_mg: Vector
     spread_mg: Vector
     angle_deg: float | None = None
@@ -162,34 +163,14 @@ class DwellProgress(Event):
         Index of the position in the plan, from 0.
     elapsed_s, length_s : float
         Length of the dwell so far, and its full length, in s.
-    samples, lost : int
-        Number of samples of the dwell so far, and of scans lost within it.
-    accel_mg, spread_mg : Vector
-        Mean and standard deviation of the newest window in mg.
-    angle_deg : float or None
-        Live angle by gravity, counted like the stage's angles; None for free attitudes.
-    target_deg : float or None
-        Requested angle; None for free attitudes.
-    limit_mg : Vector or None
-        Limit of `spread_mg` for a sensor at rest; None if it is not known.
-    waits_for : str
-        Text that names what the session waits for.
-    temperature_c : float or None
-        Temperature in the newest scan; None if scans have no temperature.
+    newest : Watching
+        Newest readings of the sensor, with the state `recording`.
     """
 
     place: int
     elapsed_s: float
     length_s: float
-    samples: int
-    lost: int
-    accel_mg: Vector
-    spread_mg: Vector
-    angle_deg: float | None = None
-    target_deg: float | None = None
-    limit_mg: Vector | None = None
-    waits_for: str = ""
-    temperature_c: float | None = None
+    newest: Watching
 
 
 class DwellDone(Event):

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.errors import AdisGonioError
-from adis_gonio.bench.events import NoiseMeasured, Problem, Running, Vector, Watching, Withdrawn
+from adis_gonio.bench.events import NoiseMeasured, Problem, Running, Vector, Watching, WatchState, Withdrawn
 from adis_gonio.bench.guards import Judge, Turning
 from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
@@ -247,13 +247,13 @@ class Knowledge:
 
     def watching(
         self,
-        state: Literal["idle", "measuring", "moving", "settling"],
+        state: WatchState,
         accel_mg: Floats,
         spread_mg: Floats,
         target_deg: float | None,
         waits_for: str,
     ) -> Watching:
-        """Return the event that shows the newest readings outside a dwell.
+        """Return the event that shows the newest readings.
 
         `accel_mg` and `spread_mg` are the mean and the standard deviation of the newest window,
         `target_deg` is the requested angle (None if there is none), and `waits_for` names what the session

@@ -57,8 +57,9 @@ RUNNING = events.Running(
 )
 THREE = [*OPEN, look(), asked(0), done(0), asked(1), TURN, done(1), RUNNING, asked(2), done(2), RUNNING]
 DWELL = events.DwellProgress(
-    3, 4.2, 10.0, 3440, 0, (-1000.0, 3.0, -8.0), (1.9, 2.3, 2.0), 180.03, 180.0, LIMIT,
-    "the dwell to end", 25.1,
+    3, 4.2, 10.0, events.Watching(
+        "recording", (-1000.0, 3.0, -8.0), (1.9, 2.3, 2.0), 180.03, 180.0, LIMIT, "the dwell to end", 25.1
+    ),
 )  # fmt: skip
 
 

@@ -252,20 +252,21 @@ class BenchState:
 
     @_take.register
     def _(self, event: events.DwellProgress) -> None:
-        self._look(event)
+        self._look(event.newest)
+        self.tolerance_deg = None
         self._go_on()
         self.place = event.place
         self.doing = "recording"
         self.span = Span("dwell", event.elapsed_s, event.length_s)
 
-    def _look(self, event: events.Watching | events.DwellProgress) -> None:
+    def _look(self, event: events.Watching) -> None:
         self.angle_deg = event.angle_deg
         if event.angle_deg is not None and self._turned_deg is not None:
             # The live angle is known up to whole turns and moves by less than 180° from event to event;
             # since the last dwell it counts on.
             self._turned_deg += wrap_degrees(event.angle_deg - self._turned_deg)
             self.angle_deg = self._turned_deg
-        self.tolerance_deg = event.tolerance_deg if isinstance(event, events.Watching) else None
+        self.tolerance_deg = event.tolerance_deg
         self.target_deg = event.target_deg if event.target_deg is not None else self.target_deg
         self.waits_for = event.waits_for
         if event.temperature_c is not None:
