@@ -12,7 +12,13 @@ from adis_gonio import fit, trace
 from adis_gonio.base.conformity import Tolerance, state_conformity
 from adis_gonio.base.numbers import format_p, format_percent, format_uncertain, with_unit
 from adis_gonio.fitting.estimation.readings import readings_of
-from adis_gonio.handover.calibration_report import build_page, facts
+from adis_gonio.handover.calibration_report import (
+    build_page,
+    facts,
+    found_section,
+    further_terms_section,
+    rivals_section,
+)
 from adis_gonio.model.effects import Conditions, effect
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.page.document import Figure, Section, Series, Table, plot
@@ -116,6 +122,29 @@ def test_the_page_answers_every_question(page):
         "Smallest detectable amplitudes", "What to measure next", "Data and configuration",
     }  # fmt: skip
     assert wanted <= set(outline(page).headings)
+
+
+def test_the_page_weighs_the_models_and_counts_their_terms(curved):
+    _, result, _ = curved
+    (rivals,) = rivals_section(result).tables
+    shares = [float(share.removesuffix("%")) for _, share in rivals.rows]
+    assert shares == sorted(shares, reverse=True)
+    assert 95 < sum(shares) < 100.5
+    assert not rivals_section(replace(result, rivals=())).tables
+    (by_terms,) = further_terms_section(result).tables
+    assert [row[0] for row in by_terms.rows] == ["0", "1", "2", "3"]
+    assert by_terms.rows[0][1] == "base model"
+    # A term gains something over the model with a term less; the base model has none less.
+    assert ["±" in row[4] for row in by_terms.rows] == [False, True, True, True]
+
+
+def test_a_session_without_effects_says_so_in_place_of_their_table(curved):
+    _, result, _ = curved
+    some, none = found_section(result), found_section(replace(result, found=()))
+    assert (len(some.tables), list(some.words)) == (1, [])
+    assert (len(none.tables), list(none.words)) == (
+        0, ["No effect had to be added, or none could be named."]
+    )  # fmt: skip
 
 
 def test_results_by_method_begin_with_delta_k_and_delta_phi(page):
