@@ -12,11 +12,13 @@ from adis_gonio import fit, trace
 from adis_gonio.base.conformity import Tolerance, state_conformity
 from adis_gonio.base.numbers import format_p, format_percent, format_uncertain, with_unit
 from adis_gonio.fitting.estimation.readings import readings_of
+from adis_gonio.fitting.slips.session_positions import Named, PositionFinding
 from adis_gonio.handover.calibration_report import (
     build_page,
     facts,
     found_section,
     further_terms_section,
+    positions_section,
     rivals_section,
 )
 from adis_gonio.model.effects import Conditions, effect
@@ -145,6 +147,15 @@ def test_a_session_without_effects_says_so_in_place_of_their_table(curved):
     assert (len(none.tables), list(none.words)) == (
         0, ["No effect had to be added, or none could be named."]
     )  # fmt: skip
+
+
+def test_a_wrong_position_has_its_angles_by_gravity_and_by_the_gyro():
+    gravity, gyro = (31.04, 0.1), (31.2, 0.5)  # with standard uncertainties; the page states 95 %
+    named = (Named("slipped", (3,), 0.9),)
+    wrong = PositionFinding(3, "slipped", 30.0, gravity, gyro, gravity, (1.04, 0.1), None, (), 0.99, named)
+    (section,) = positions_section([wrong, replace(wrong, declared_deg=None, gyro_deg=None)])
+    cells = [[cell.replace("\xa0", " ") for cell in row[1:4]] for row in section.tables[0].rows]
+    assert cells == [["30°", "(31.04 ± 0.20)°", "(31.20 ± 0.98)°"], ["–", "(31.04 ± 0.20)°", "–"]]
 
 
 def test_results_by_method_begin_with_delta_k_and_delta_phi(page):
