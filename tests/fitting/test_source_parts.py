@@ -149,6 +149,11 @@ def test_biases_and_skews_that_nothing_shows_are_as_large_as_the_sheet_says(
             (found.further_mg @ found.further_mg.T), np.diag([0, sheet.initial_bias_mg**2])
         )
         assert f"bias y taken as zero ({sheet.initial_bias_mg:g} mg, figure of the part)" in found.note
+        # Numbers in the offset registers may add to the bias, or compensate it.
+        moved = replace(data, offset_mg=(3.0, -24.0, 5.0))
+        wider = module._model(moved, noise, fit, RESPONSE, (5,))
+        np.testing.assert_allclose(wider.further_mg @ wider.further_mg.T, np.diag([0, 26.0**2]))
+        assert "; offset registers −24.0 mg" in wider.note
     np.testing.assert_allclose(found.reading_mg2, 0.16 * np.eye(2))
     assert found.dof[: 2 * N].tolist() == [11.0] * 2 * N
     assert np.isinf(found.dof[2 * N :]).all()

@@ -143,6 +143,17 @@ def test_averages_without_an_uncertainty_and_without_freedom_have_none(angles):
     assert "e-0" not in result.summary()
 
 
+def test_numbers_in_the_offset_registers_widen_u_of_two_positions():
+    part = Session(**{**vars_of(turn((0, 90), samples=4, noise=0.1)), "sensor": "adis16354"})
+    held = {"XACCL_OFF": 80, "YACCL_OFF": 0, "ZACCL_OFF": 0}
+    moved = Session(**{**vars_of(part), "facts": {"registers": {"configured": held}}})
+    without, wider = fit(part, "two-position"), fit(moved, "two-position")
+    for name in ("delta_k", "delta_phi"):
+        # 10 mg on both axes; then √(10² + (80 · 0.4672)²) = 38.7 mg on X.
+        assert 1.2 < wider[name].u / without[name].u < 3.9
+    assert "offset registers +37.4 mg and +0.0 mg" in wider.budget["delta_k"][-1].note
+
+
 def test_a_bias_that_two_positions_cannot_see_is_in_the_budget_where_the_part_has_a_figure():
     blind = turn((0, 90), samples=4, noise=0.1, bias=(0.0, 0.0))
     part = Session(**{**vars_of(blind), "sensor": "adis16354"})

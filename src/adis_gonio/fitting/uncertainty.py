@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord, key
-from adis_gonio.base.numbers import format_span
+from adis_gonio.base.numbers import format_span, join_words, signed
 from adis_gonio.base.uncertainty import effective_dof
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.determination import NoiseAssumptions
@@ -496,6 +496,8 @@ def _model(
 
     `response` (p, n, axes) is the derivative of the parameters by each reading. The source covers a
     residual beyond the noise, and the biases and skews with the indices `held`, which were taken as zero.
+    Numbers in the offset registers may compensate a bias, or add to it: their size is part of the u of the
+    bias.
     """
     axes = data.axes
     extra = _each(response, np.tile(noise.extra_mg * np.eye(axes), (len(data), 1, 1)))
@@ -505,7 +507,9 @@ def _model(
     # Indices of the biases among the axes, and of the skews among the base parameters.
     base = len(data.model.parameters)
     no_bias, no_skew = [k - base for k in held if k >= base], [k for k in held if k < base]
-    biases = np.tile(figure * np.eye(axes)[:, no_bias], (len(data), 1, 1))
+    offsets_mg = np.array(data.offset_mg[:axes])
+    sizes = np.hypot(figure, offsets_mg)
+    biases = np.tile(np.diag(sizes)[:, no_bias], (len(data), 1, 1))
     skews = skew_u_rad * fit.base_columns[:, :, no_skew]
     missing = np.zeros((len(data), axes, 0))
     if noise.extra_mg > 0:
@@ -519,13 +523,18 @@ def _model(
     if no_bias:
         letters = ", ".join("xyz"[axis] for axis in no_bias)
         size = f"{figure:g} mg, figure of the part" if figure else unstated
+        if offsets_mg[no_bias].any():
+            numbers = join_words([f"{signed(mg, 1)} mg" for mg in offsets_mg[no_bias]])
+            size += f"; offset registers {numbers}"
         notes.append(f"bias {letters} taken as zero ({size})")
     if no_skew:
         names = ", ".join(data.model.names[k].removeprefix("skew_") for k in no_skew)
         size = f"{figures.non_orthogonality_deg:g}° at most, figure of the part" if figures else unstated
         notes.append(f"skew {names} taken as zero ({size})")
     others = np.concatenate([skews, missing], axis=2)
-    u = math.hypot(u, figure if no_bias else 0.0, math.sqrt(float((others**2).sum(axis=2).mean())))
+    u = math.hypot(
+        u, float(sizes[no_bias].max(initial=0.0)), math.sqrt(float((others**2).sum(axis=2).mean()))
+    )
     statistical = noise.extra_mg > 0 and not acts.any()
     stated = figures is not None or not acts.shape[2]
     widths = [extra.shape[1], acts.shape[2]]

@@ -48,6 +48,7 @@ from adis_gonio.fitting.estimation.links import Links
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn, gains_and_skews
 from adis_gonio.model.records import ACCEL_UNITS, MG_PER_MPS2, Dwell, Session
+from adis_gonio.record.provenance import provenance_of
 
 MOST_SHARED = 2000
 """Largest number of dwells for which the 1/f noise that dwells share is modelled. For more dwells its
@@ -156,6 +157,8 @@ class Readings(ComputedOnce):
         True if one estimate of noise serves all dwells, so that `dof` counts once and not for each dwell.
     sensor : str
         Name of the variant, for data-sheet figures that a session cannot show.
+    offset_mg : (3,) float
+        Amounts that the offset registers of the chip add to the readings of X, Y and Z; 0 if unknown.
     notes : tuple of str
         Remarks on the noise, for the result.
     fitted : (p,) bool or None
@@ -190,6 +193,7 @@ class Readings(ComputedOnce):
     flicker_shown: bool = False
     pooled: bool = True
     sensor: str = "generic"
+    offset_mg: tuple[float, ...] = (0.0, 0.0, 0.0)
     notes: tuple[str, ...] = ()
     fitted: NDArray[np.bool_] | None = None
     measurement: Measurement | None = None
@@ -591,10 +595,17 @@ def reduced(session: Session) -> Readings:
         slow=slow,
         stage_modes=stage_modes,
         sensor=session.sensor,
+        offset_mg=_offsets_mg(session),
         notes=tuple(notes),
         converter=converter,
         **parts,
     )
+
+
+def _offsets_mg(session: Session) -> tuple[float, ...]:
+    """Return the amounts (3,) in mg that the offset registers add to the readings; 0 if unknown."""
+    lsb_mg = VARIANTS[session.sensor].accel_mg_per_lsb if session.sensor in VARIANTS else 0.0
+    return tuple(lsb_mg * number for number in provenance_of(session).offsets_lsb or (0, 0, 0))
 
 
 def _without_noise(session: Session, dwells: list[Dwell], axes: int) -> bool:
