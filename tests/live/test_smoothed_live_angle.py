@@ -12,7 +12,14 @@ from adis_gonio.calibrate import Calibration, Coefficient
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.device.sensor.settings import Configuration
-from adis_gonio.live.live_angle import AngleMeter, LiveSource, calibration_for, live_angles, open_live
+from adis_gonio.live.live_angle import (
+    AngleMeter,
+    LiveSource,
+    calibration_for,
+    live_angles,
+    open_live,
+    sensing_of,
+)
 from adis_gonio.record.blocks import ValueBlock
 from adis_gonio.record.plans import plan
 from adis_gonio.record.source import Settings
@@ -119,6 +126,12 @@ def test_a_link_that_breaks_ends_the_angles_with_its_error():
     with pytest.raises(BusTimeoutError, match="no answer"):
         seen.extend(shown)
     assert [reading.angle_deg for reading in seen] == [0.0] * len(seen)
+
+
+def test_the_slope_of_a_raw_angle_is_as_uncertain_as_the_biases_of_the_variant():
+    slopes = [sensing_of(RATE, part, 2.0).bend for part in ("adis16354", "adis16350", "generic")]
+    # Bias 10, 40 and 10 mg over gravity; gains of ±2 % and a Δφ of ±0.25° add 0.0066.
+    assert slopes == pytest.approx([0.012, 0.0405, 0.012], rel=0.01)
 
 
 def test_a_sensor_without_gyros_has_no_smoothed_angle():

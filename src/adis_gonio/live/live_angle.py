@@ -24,7 +24,7 @@ from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.errors import UsageError
 from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, GYRO_OFF, GYRO_OUT, TEMP_OUT, VARIANTS
 from adis_gonio.device.sensor.settings import Configuration, white_noise_gain
-from adis_gonio.live.motion_model import BEND, LAG_S, AngleSmoother, GyroKnowledge, Sensing
+from adis_gonio.live.motion_model import LAG_S, AngleSmoother, GyroKnowledge, Sensing
 from adis_gonio.model.records import SERIES
 from adis_gonio.record.blocks import GENERIC, Block, session_columns
 from adis_gonio.record.source import ChipSource, Measuring, SampleStream, Settings, open_source
@@ -98,7 +98,9 @@ def sensing_of(measuring: Measuring, part: str, noise_mg: float) -> Sensing:
         known.gyro_noise_dps if known else GENERIC_WALK_DEG / math.sqrt(period_s),
         filter_m,
         range_dps,
-        known.bias_instability_mg if known else 0.0,
+        **{}
+        if known is None
+        else {"drift_mg": known.bias_instability_mg, "bias_mg": known.initial_bias_mg},
     )
 
 
@@ -134,11 +136,11 @@ def corrected_angle(
     return angle_deg, u_deg if math.isfinite(u_deg) else None
 
 
-def _bend_of(calibration: Calibration) -> float:
+def _bend_of(calibration: Calibration) -> float | None:
     """Return the standard uncertainty of the slope of the calibrated angle as a function of the true angle.
 
     The slope is 1 for a perfect calibration. Its uncertainty is derived from the largest uncertainty of the
-    angle over the turn, without the uncertainty of the start angle.
+    angle over the turn, without the uncertainty of the start angle. None if the calibration states none.
     """
     # Standard uncertainty of the angle at eight angles over a turn.
     psi = np.linspace(0, 2 * np.pi, 8, endpoint=False)
@@ -146,7 +148,7 @@ def _bend_of(calibration: Calibration) -> float:
     u_deg = calibration.angle(calibration.readings_of(unit), plane="xy").u_deg
     u_deg = u_deg[np.isfinite(u_deg)]
     # An error with two cycles per turn has a largest slope of twice its amplitude.
-    return 2 * math.radians(float(u_deg.max())) if u_deg.size else BEND
+    return 2 * math.radians(float(u_deg.max())) if u_deg.size else None
 
 
 EVERY_S = 0.1
@@ -261,7 +263,7 @@ class AngleMeter:
             GyroKnowledge.of(gyro, stated),
             lag_s=lag_s,
             corrected=None if calibration is None else self._corrected,
-            bend=BEND if calibration is None else _bend_of(calibration),
+            bend=None if calibration is None else _bend_of(calibration),
         )
         self._off_deg = 0.0
         """Relative error of gravity's length at the last rest, as an angle in degrees.

@@ -162,6 +162,8 @@ class Sensing:
         Largest rate that the gyros measure; None if unknown: then no saturation is detected.
     drift_mg : float
         Smallest Allan deviation of the accelerometers, which sets their 1/f noise; 0 if unknown.
+    bias_mg : float
+        Standard deviation of the bias of an accelerometer between sensors; 10 mg if unknown (D).
     """
 
     period_s: float
@@ -170,6 +172,7 @@ class Sensing:
     filter_m: int = 0
     gyro_range_dps: float | None = None
     drift_mg: float = 0.0
+    bias_mg: float = 10.0
 
     @property
     def step_samples(self) -> int:
@@ -188,6 +191,11 @@ class Sensing:
     def drift_rms_mg(self) -> float:
         """Standard deviation in mg of the 1/f noise of all octaves."""
         return self.drift_mg * math.sqrt(OCTAVES / 2)
+
+    @property
+    def bend(self) -> float:
+        """Standard deviation of the error of dφ/dψ for uncalibrated accelerometers (`GAIN_BEND`)."""
+        return math.hypot(GAIN_BEND, self.bias_mg / 1000)  # gravity is 1000 mg
 
     @property
     def step_noise_mg2(self) -> float:
@@ -495,10 +503,10 @@ ANGLE, ZERO, SCALE, G_X, G_Y, LEVER_X, LEVER_Y, NOW, BEFORE = range(9)
 SIZE = 9
 LEVER_MM = 50.0
 """Standard deviation, in mm, of each component of the sensor's distance from the stage's axis (D)."""
-BEND = 0.012
-"""Standard deviation of the error of dφ/dψ, which is 1 without errors, for uncalibrated accelerometers.
-φ is the angle computed from the direction of gravity, ψ the true angle. Bias 10 mg, gains ±2 %, Δφ ±0.25°
-(ADIS16350 data sheet, B and D)."""
+GAIN_BEND = 0.0066
+"""Standard deviation of the error of dφ/dψ, which is 1 without errors, by the gains and Δφ of uncalibrated
+accelerometers. φ is the angle computed from the direction of gravity, ψ the true angle. Gains ±2 %, Δφ
+±0.25° (ADIS16350 data sheet, B and D)."""
 OPEN_DEG = 90.0
 """Standard deviation, in degrees, of an angle about which nothing is known."""
 LEAST_MG = 50.0
@@ -581,7 +589,7 @@ class MotionModel:
         and the true angle ψ. Errors of the accelerometers cause this error, and it varies with the angle.
     """
 
-    def __init__(self, sensing: Sensing, gyros: GyroKnowledge, bend: float = BEND) -> None:
+    def __init__(self, sensing: Sensing, gyros: GyroKnowledge, bend: float) -> None:
         self._sensing = sensing
         self._gyros = gyros
         self._bend = bend
@@ -776,9 +784,9 @@ class AngleSmoother:
         Delay of the reported angle; 0 for the filter without smoothing.
     corrected : callable, optional
         Function that corrects accelerometer readings; without it they are not corrected.
-    bend : float
+    bend : float or None
         Standard deviation of the error of dφ/dψ, with the angle φ computed from the direction of gravity
-        and the true angle ψ; the default is for uncalibrated accelerometers.
+        and the true angle ψ; None for uncalibrated accelerometers.
 
     Raises
     ------
@@ -793,14 +801,14 @@ class AngleSmoother:
         *,
         lag_s: float = LAG_S,
         corrected: Corrected | None = None,
-        bend: float = BEND,
+        bend: float | None = None,
     ) -> None:
         if not 0 <= lag_s <= LONGEST_LAG_S:
             raise UsageError(f"the lag is {lag_s:g} s: take 0 to {LONGEST_LAG_S:g}")
         self._sensing = sensing
         self._gyros = gyros or GyroKnowledge()
         self._corrected = corrected
-        self._model = MotionModel(sensing, self._gyros, bend)
+        self._model = MotionModel(sensing, self._gyros, sensing.bend if bend is None else bend)
         step_s = sensing.step_samples * sensing.period_s
         self._lag = round(lag_s / step_s)
         self._back = max(2 * LEAST_STEPS, round(BACK_S / step_s))
