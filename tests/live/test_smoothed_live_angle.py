@@ -108,6 +108,21 @@ def test_another_parts_calibration_is_said_and_widens_u(calibration, tmp_path):
     assert abs(wrapped(wrong.smoothed_deg - own.smoothed_deg)) < 4 * wrong.smoothed_u_deg
 
 
+@pytest.mark.parametrize(("constant_mg", "shaking_mg", "notes"), [(7, 0, ("calibration",)), (0, 8, ())])
+def test_a_hand_that_begins_to_turn_the_part_is_no_other_part(calibration, constant_mg, shaking_mg, notes):
+    meter = AngleMeter(RATE, 2.0, 0.4672, calibration, part="adis16354")
+    time_s = np.arange(82 * 10) / 819.2
+    accel = np.random.default_rng(3).normal(0, 2.0, (len(time_s), 3))
+    accel[:, :2] += calibration.readings_of([[1.0, 0.0]])[0]
+    accel[:, 0] += constant_mg + shaking_mg * np.sin(2 * np.pi * 3 * time_s)
+    shown = [
+        meter.feed(ValueBlock(("ax", "ay", "az"), accel[rows], time_s[rows]))
+        for rows in (slice(k, k + 82) for k in range(0, len(time_s), 82))
+    ]
+    assert shown[-1].still
+    assert {reading.notes for reading in shown if reading.still} == {notes}
+
+
 def one_reading(calibration: Calibration):
     """What is shown of the sensor `HIDDEN` at rest."""
     with open_live(HIDDEN) as source:

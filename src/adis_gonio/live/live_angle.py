@@ -270,6 +270,7 @@ class AngleMeter:
 
         It is 0 if it does not contradict the calibration.
         """
+        self._noise_mg = noise_mg
         self._window = window_samples(measuring)
         self._limits = limits_from_noise(np.full(3, noise_mg), self._window, step_mg)
         self._least = max(1, round(every_s * measuring.sample_rate_hz))
@@ -313,9 +314,9 @@ class AngleMeter:
         if spread_mg is not None and len(self._kept) >= self._window:
             # Only the upper limit is tested: a stuck axis is reported by `bringup`.
             still = bool((spread_mg <= self._limits.upper).all())
+            if still:
+                self._take_rest(mean, temperature_c, float(spread_mg.max()))
         end_s = float(blocks[-1].time_s[-1])
-        if still:
-            self._take_rest(mean, temperature_c)
         raw_deg, u_deg = self._raw(mean, u_mg)
         corrected_deg = None
         if self._calibration is not None:
@@ -345,10 +346,12 @@ class AngleMeter:
             u_deg = math.degrees(math.hypot(y * u_mg[0], x * u_mg[1]) / (x * x + y * y))
         return wrap_degrees(zero_deg + float(raw_angle_deg(mean_mg))), u_deg
 
-    def _take_rest(self, mean_mg: Floats, temperature_c: float | None) -> None:
+    def _take_rest(self, mean_mg: Floats, temperature_c: float | None, spread_mg: float) -> None:
         """Check the calibration at rest: compare the length of the reading `mean_mg` with local gravity.
 
         `temperature_c` is None if the sensor reports none: the mean of the calibration's session is taken.
+        `spread_mg` is the standard deviation of the samples. Its excess over the noise is motion, slow
+        enough to change the mean: a hand that begins to turn the sensor.
         If the length differs from local gravity by more than the uncertainties allow, the difference is
         added to the uncertainty of later angles, with a note.
         """
@@ -366,7 +369,8 @@ class AngleMeter:
         off = abs(math.hypot(along, z) - 1.0)
         _, u_deg = corrected_angle(calibration, mean_mg, temperature_c)
         across = abs(z) * Z_ERROR if planar else 0.0
-        allowed = math.hypot(math.radians(u_deg or 0.0), 3 * self._drift_rad, LENGTH_FLOOR, across)
+        motion = math.sqrt(max(spread_mg**2 - self._noise_mg**2, 0.0)) / calibration.gravity_mg
+        allowed = math.hypot(math.radians(u_deg or 0.0), 3 * self._drift_rad, LENGTH_FLOOR, across, motion)
         self._off_deg = math.degrees(off) if off > 3 * allowed else 0.0
 
     def _smoothed(self, end_s: float) -> Smoothed | None:
