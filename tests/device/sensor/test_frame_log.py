@@ -57,6 +57,7 @@ def test_the_log_shows_addresses_without_a_register_and_answers_of_the_bus(tmp_p
     first, last = (row.time_s for row in rows if row.frame is not None)
     assert last - first == pytest.approx(bus.timing.frame_s)
     assert [row.register for row in rows if row.frame == 0x1800] == ["0x18"]
+    assert [row.word is None for row in rows if row.frame is not None] == [False, True]  # one frame late
     values = {row.action: row.value for row in rows}
     assert values["sleep_s"] == "0.25"
     assert values["read_event_counter"] == f" → {edges}"
