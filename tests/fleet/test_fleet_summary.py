@@ -142,6 +142,7 @@ def test_the_page_says_what_the_summary_says_and_escapes_what_files_say(rng):
     page = build_page(summarise(rows), population=["One effect is common to all."])
     assert page == build_page(summarise(list(reversed(rows))), population=["One effect is common to all."])
     assert "120 of 121" in page
+    assert "robust sd" in page, "the parameters have a table"
     assert "One effect is common to all." in page
     assert "stage &lt;script&gt;x&lt;/script&gt;" in page
     assert "<script>" not in page

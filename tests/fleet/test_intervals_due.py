@@ -40,6 +40,8 @@ def test_an_undecided_error_keeps_the_interval():
     assert [(s.verdict, s.response, s.interval_days) for s in found.stairs] == [
         ("undecided", "kept", 365.0)
     ]
+    assert not found.as_dict()["tolerance_assumed"]
+    assert due_of(of(made_up("2015-01-01"))).as_dict()["tolerance_assumed"]
     simple = Rules(Tolerance(0.1, "simple"), assumed=False, first_days=365.0)
     found = due_of(of(made_up("2015-01-01", u=1e-6), made_up("2016-01-01", u=1e-6, delta_phi=0.09)), simple)
     assert [(s.verdict, s.response) for s in found.stairs] == [("pass", "kept")]

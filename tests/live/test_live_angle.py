@@ -180,6 +180,15 @@ def test_gravity_across_the_plane_has_no_corrected_angle(calibration):
     assert all(reading.corrected_deg is None and reading.u_deg is None for reading in shown)
 
 
+@pytest.mark.parametrize(("gain_z", "widened"), [(1.0, False), (1.02, False), (1.5, True)])
+def test_u_of_a_tilted_plane_is_not_widened_by_a_usual_error_of_z(calibration, gain_z, widened):
+    """A calibration in the plane has no Z: at a tilt of 30°, 2 % of it are 5 mg of the length, or 0.29°."""
+    accel = at_rest(20.0, 400, 0.5, np.random.default_rng(6)) * np.cos(np.radians(30))
+    accel[:, 2] += 1000 * gain_z * np.sin(np.radians(30))
+    u_deg = readings(AngleMeter(Rate(100.0), 2.0, 0.0, calibration), accel)[-1].u_deg
+    assert (u_deg > 0.29) is widened
+
+
 def test_still_is_said_once_it_can_be_told_and_a_push_ends_it():
     rng = np.random.default_rng(3)
     accel = at_rest(20.0, 400, 2.0, rng)
