@@ -54,7 +54,7 @@ def drawn(rng: np.random.Generator, root: np.ndarray, *, shared: bool = True) ->
     return replace(made, own_covariance=np.tile(own * np.eye(2), (DWELLS, 1, 1)), slow=None)
 
 
-@pytest.mark.parametrize("method", ["ml", "mmpm", "four-position"])
+@pytest.mark.parametrize("method", ["ml", "mmpm"])
 def test_what_results_scatter_by_is_what_they_state(method: str) -> None:
     begin = 3.0 * np.arange(DWELLS)
     values, vectors = np.linalg.eigh(covariance_of_means(begin, begin + 3.0))

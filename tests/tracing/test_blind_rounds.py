@@ -35,7 +35,7 @@ def each_name_in_two() -> list[int]:
 
 SESSIONS = {
     "none": range(6),
-    "one": range(len(NAMES)),
+    "one": range(0, len(NAMES), 3),
     "two": each_name_in_two(),
     "uncatalogued": [list(GRAMMAR).index(name) for name in ENTRIES],
     "beyond": range(0, len(BEYOND), 3),
@@ -43,7 +43,7 @@ SESSIONS = {
     SPACE + "one": range(len(SPACE_NAMES)),
     SPACE + "two": range(3),
 }
-"""One session of each name; of two effects every name, of unnamed ones each way to enter or a third."""
+"""Every third name alone and every name in two; of unnamed ones each way to enter or a third."""
 
 
 def at_least(share: float, hits: Iterable[bool]) -> bool:
@@ -77,11 +77,11 @@ def test_trace_names_what_is_there_and_nothing_else(kind: str, pools: Pools) -> 
     if kind == "none":
         assert not any(v.claimed or v.unnamed for v in verdicts), told(verdicts)
     elif kind == "one":
-        assert hidden == set(NAMES)
+        assert len(hidden) == len(verdicts)
         assert all(v.found for v in verdicts), told(verdicts)
         assert all(v.exact for v in verdicts), told(verdicts)
         covered = [hit for v in verdicts for _, hit, _ in v.covered]
-        assert len(covered) > 20
+        assert len(covered) > 7
         assert missed(covered) <= 2
     elif kind == "two":
         assert hidden == set(NAMES)

@@ -44,7 +44,7 @@ def closed(data: Readings, *include: str) -> TraceResult:
 
 
 def test_the_amplitude_of_a_planted_formula_lies_within_its_uncertainty_in_95_percent() -> None:
-    seeds, truth, inside = range(150), 0.01, 0
+    seeds, truth, inside = range(60), 0.01, 0
     for seed in seeds:
         run = TraceRun(turned(seed, formula=truth), 6, None, AskedModel((FORMULA, "bias"), only=True))
         run.search()
