@@ -104,3 +104,26 @@ def test_a_trace_of_readings_without_a_stated_noise_does_not_claim_an_adequate_m
     found = trace(samples_file(tmp_path / "a.csv", 5, 2))
     assert {one.effect for one in found.found} == {"bias"}
     assert not found.adequate
+
+
+def test_an_unstated_noise_beside_a_stated_fixture_has_the_degrees_of_freedom_that_show_it(
+    tmp_path: Path,
+) -> None:
+    rng = np.random.default_rng(11)
+    angle = np.arange(0.0, 360.0, 30.0)
+    estimated, counted = [], []
+    for _ in range(30):
+        psi = np.radians(40.0 - angle + 0.1 * rng.standard_normal(12))
+        xy = 1000 * np.stack([np.cos(psi), np.sin(psi)], axis=1) + 0.2 * rng.standard_normal((12, 2))
+        rows = [f"{60 * k},{k},{angle[k]:g},{x:.4f},{y:.4f}" for k, (x, y) in enumerate(xy)]
+        head = ["# sensor: generic", "# accel_unit: mg", "# fixture_sigma_deg: 0.1"]
+        path = tmp_path / "hand.csv"
+        path.write_text("\n".join([*head, "time_s,position,angle_deg,ax,ay", *rows]) + "\n")
+        origin = fit(path, method="ml").origin
+        assert origin is not None
+        estimated.append(origin.noise.scale)
+        counted.append(origin.noise.scale_dof)
+    # The length shows the noise: 12 lengths less 2 gains, Δφ and 2 biases. The angles scatter 9 times more.
+    assert np.median(counted) == pytest.approx(7.0, abs=1.0)
+    # The variance of 30 estimates with 7 degrees of freedom has a mean that is known to 10 %.
+    assert np.mean(np.square(estimated)) == pytest.approx(0.04, rel=0.3)

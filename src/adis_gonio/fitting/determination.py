@@ -383,6 +383,9 @@ def _unknown_readings(
     if dof > 0:
         why, limits_mg = "the model fits all readings exactly", (_LEAST_SCALE, _LARGEST_SCALE)
         scale = scale_at_dof(lambda s: follow(replace(noise, scale=s)).chi2, dof, *limits_mg)
+    scale_dof = float(dof)
+    if scale > _LEAST_SCALE and follow.readings.planar and 0 < noise.sigma_rad < math.inf:
+        scale, scale_dof = _scale_beside_fixture(follow, noise, scale, scale_dof)
     if scale <= _LEAST_SCALE:
         notes.append(
             f"the noise of a reading is unknown and {why}: no uncertainty can be given; state reading_u_mg,"
@@ -391,9 +394,51 @@ def _unknown_readings(
         return replace(noise, known=False, notes=tuple(notes))
     notes.append(
         f"reading_u_mg is not stated: all readings were given {scale:.3g} mg, estimated from the residual "
-        f"({dof} degrees of freedom); chi2 is therefore no test of the model"
+        f"({scale_dof:.3g} degrees of freedom); chi2 is therefore no test of the model"
     )
-    return replace(noise, scale=scale, scale_dof=float(dof), notes=tuple(notes))
+    return replace(noise, scale=scale, scale_dof=scale_dof, notes=tuple(notes))
+
+
+def _scale_beside_fixture(
+    follow: _Follow, noise: NoiseAssumptions, start_mg: float, dof: float
+) -> tuple[float, float]:
+    """Estimate the standard deviation in mg of the readings if that of the declared angles is stated.
+
+    The scatter of the angles is part of χ², but shows little of the readings' noise, so that the
+    restricted likelihood decides, and its curvature gives the degrees of freedom. `start_mg`, at which χ²
+    is `dof`, is returned with `dof` if the likelihood has no maximum within a factor of 20.
+    """
+    from scipy.optimize import minimize_scalar
+
+    def deviance(log_scale: float) -> float:
+        return _deviance(follow, replace(noise, scale=math.exp(log_scale)))
+
+    middle, span = math.log(start_mg), math.log(20.0)
+    found = minimize_scalar(
+        deviance, bounds=(middle - span, middle + span), method="bounded", options={"xatol": 0.01}
+    )
+    at, step = float(found.x), 0.1
+    # χ²/s² + 2 ν ln s has the second derivative 4 ν by ln s at its minimum.
+    seen = (deviance(at - step) + deviance(at + step) - 2 * float(found.fun)) / (4 * step**2)
+    if abs(at - middle) > span - 2 * step or seen < 1:
+        return start_mg, dof
+    return math.exp(at), min(seen, dof)
+
+
+def _deviance(follow: _Follow, noise: NoiseAssumptions) -> float:
+    """Return −2 ln of the restricted likelihood of planar readings with this noise, up to a constant."""
+    fit = follow(noise)
+    free = follow.first.free
+    # Whitened tangent: σ² times its square is the variance of a dwell from its angle.
+    along = fit.data.root @ fit.tangent
+    carried, fixture = (along**2).sum(axis=(1, 2)), fit.data.fixture
+    bound = np.isfinite(fixture)
+    # Log determinants of the covariance and of the information: restricted likelihood.
+    spread = np.where(bound, np.log1p(np.where(bound, fixture, 0.0) ** 2 * carried), np.log(carried)).sum()
+    # Directions that the positions do not show have only rounding errors.
+    known = np.linalg.eigvalsh(information(fit)[np.ix_(free, free)])
+    own = 2 * fit.data.mean.size * math.log(noise.scale)
+    return fit.chi2 + float(own + spread + np.log(np.maximum(known, 1e-15 * known.max())).sum())
 
 
 def _unknown_fixture(follow: _Follow, noise: NoiseAssumptions, dof: int) -> NoiseAssumptions:
@@ -411,17 +456,7 @@ def _unknown_fixture(follow: _Follow, noise: NoiseAssumptions, dof: int) -> Nois
     from scipy.optimize import minimize_scalar
 
     def deviance(log_sigma: float) -> float:
-        sigma = math.exp(log_sigma)
-        fit = follow(replace(noise, sigma_rad=sigma))
-        free = follow.first.free
-        # Whitened tangent: σ² times its square is the variance of a dwell from its angle.
-        along = fit.data.root @ fit.tangent
-        carried = np.where(np.isfinite(fit.data.fixture), (along**2).sum(axis=(1, 2)), 0.0)
-        # Log determinants of the covariance and of the information: restricted likelihood.
-        spread = np.log1p(sigma**2 * carried).sum()
-        # Directions that the positions do not show have only rounding errors.
-        known = np.linalg.eigvalsh(information(fit)[np.ix_(free, free)])
-        return fit.chi2 + float(spread + np.log(np.maximum(known, 1e-15 * known.max())).sum())
+        return _deviance(follow, replace(noise, sigma_rad=math.exp(log_sigma)))
 
     low, high = math.log(1e-6), math.log(_LARGEST_SIGMA_RAD)
     found = minimize_scalar(deviance, bounds=(low, high), method="bounded", options={"xatol": 0.02})
