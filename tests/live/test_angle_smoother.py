@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.live.motion_model import AngleSmoother, GyroKnowledge, Sensing
+from adis_gonio.live.motion_model import (
+    LEVER_MM,
+    LEVER_X,
+    LEVER_Y,
+    AngleSmoother,
+    GyroKnowledge,
+    Sensing,
+)
 from live.smoothing_hands import Turning, during, errors, sensing, told
 
 SHAKEN = Turning(shake_mg=30.0, zero_dps=1.5, scale=1.005)
@@ -169,6 +176,14 @@ def test_hours_of_running_neither_drift_nor_grow():
     u = [angle.u_deg for angle in angles]
     assert u[-1] == pytest.approx(u[len(u) // 2], rel=0.5)
     assert len(smoother._seen) < 100
+
+
+def test_a_rest_teaches_nothing_about_the_distance_from_the_axis():
+    resting = Turning(rate_hz=819.2, turn_deg=0.0, seconds=12.0)
+    smoother = AngleSmoother(sensing(resting))
+    told(smoother, resting.drawn(13), every=82)
+    u_mm = np.sqrt(np.diag(smoother._state.covariance)[[LEVER_X, LEVER_Y]])
+    assert u_mm == pytest.approx([LEVER_MM] * 2, rel=0.1)
 
 
 @dataclass(frozen=True)

@@ -907,6 +907,11 @@ class AngleSmoother:
         span_s = later.time_s - earlier.time_s
         # Change of the rate over the two neighbouring steps.
         spin = math.radians(float(later.rate_dps[2] - earlier.rate_dps[2])) / span_s if span_s > 0 else 0.0
+        # At rest the change is noise of the gyro, which would teach the filter a lever arm of 0.
+        noise_dps = self._sensing.gyro_noise_dps * math.sqrt(2 / self._sensing.step_samples)
+        zero_dps = 0.0 if self._state is None else float(self._state.mean[ZERO])
+        if max(abs(math.degrees(spin)) * span_s, abs(float(rate[2]) - zero_dps)) < 4 * noise_dps:
+            spin = 0.0
         across = self._plane.see(present.rate_dps, accel)
         return Turned(
             present, float(turn[2]), complex(gravity[0], -gravity[1]), force[:2] / 1000.0,
