@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from adis_gonio.fitting import fit
 from adis_gonio.fitting.estimation import readings as module
 from adis_gonio.fitting.estimation.readings import Readings, flicker_parts, from_means, readings_of
 from adis_gonio.fitting.estimation.spectrum import covariance_of_means, scatter_of_means, spans
@@ -85,6 +86,28 @@ def test_what_is_shared_is_the_covariance_of_the_means_with_that_of_the_time_aft
     np.testing.assert_allclose(
         slow @ slow.T / FLICKER_MG**2, covariance_of_means(begin, begin + 3.0), atol=1e-9
     )
+
+
+def test_averages_of_a_known_part_without_a_stated_noise_share_its_noise() -> None:
+    begin = np.arange(24.0)
+    values, vectors = np.linalg.eigh(covariance_of_means(begin, begin + 1.0))
+    root = FLICKER_MG * vectors * np.sqrt(np.maximum(values, 0.0))
+    rng = np.random.default_rng(6)
+    angle = np.radians(15.0 * begin)
+    ideal = np.stack([1.01 * np.cos(0.2 - angle), np.sin(0.205 - angle)], axis=1)
+    off = []
+    for _ in range(120):
+        accel = G * ideal + [8.0, -5.0] + root @ rng.normal(size=(24, 2)) + U_MG * rng.normal(size=(24, 2))
+        means = [
+            Dwell(position=k, time_s=np.array([30.0 * k]), accel=accel[k : k + 1], angle_deg=15.0 * k)
+            for k in range(24)
+        ]
+        session = Session(means, sensor="adis16354", accel_unit="mg", fixture_sigma_deg=0.0)
+        result = fit(session, method="mmpm")
+        truth = {"scale_x": 1.01, "scale_y": 1.0, "bias_x": 8.0, "bias_y": -5.0}
+        off.append([(result[name].value - true) / result[name].u for name, true in truth.items()])
+    # As noise of each reading alone the scatter is 2.5 to 2.7 u.
+    np.testing.assert_allclose(np.sqrt(np.mean(np.square(off), axis=0)), 0.95, atol=0.25)
 
 
 def test_single_samples_have_no_part_in_it() -> None:

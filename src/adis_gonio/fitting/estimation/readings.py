@@ -20,7 +20,8 @@ constant by which this session differs from a session on another day.
 
 A dwell of one sample is a reading that was averaged before. `Session.reading_u_mg` is its whole
 uncertainty. If the session does not state it, the noise of every dwell counts as unknown
-(`Readings.noise_known` is False), and a fit estimates one noise for all from its residual.
+(`Readings.noise_known` is False): a fit estimates one noise for all from its residual, beside the shared
+1/f noise of the variant's figure, which the residual shows less than the parameters do.
 
 Readings in `counts` have neither a known zero nor a known gain. An ellipse or ellipsoid through them gives
 rough values of both (`Unit`), so that all later steps use readings that are nearly in mg.
@@ -568,16 +569,13 @@ def reduced(session: Session) -> Readings:
                 "within the dwells the noise still rises towards the lowest frequencies (a long filter, "
                 "drift or 1/f noise): the uncertainty of a reading is itself uncertain, dwell longer"
             )
-    angle = np.radians([np.nan if d.angle_deg is None else d.angle_deg for d in dwells])
-    stage_modes = 0
-    if session.stage_curve is not None:
-        error_deg, changes_deg = session.stage_curve.at(np.degrees(np.nan_to_num(angle)))
-        angle = angle - np.radians(error_deg)
-        # A reading (x, y) moves by (y, −x) per rad of the stage; dwells share the causes.
-        tangent = np.stack([mean[:, 1], -mean[:, 0]], axis=1) * np.isfinite(angle)[:, None]
-        shared = tangent[:, :, None] * np.radians(changes_deg)[:, None, :]
-        slow = shared if slow is None else np.concatenate([slow, shared], axis=2)
-        stage_modes = shared.shape[2]
+    elif not known:
+        # 1/f noise has no scale of time: means that follow one another share it, however long they are.
+        order = np.arange(float(n))
+        _, slow = flicker_parts(order, order + 1, np.full(axes, _stated_flicker(session)))
+    angle, of_stage = _stage(session, dwells, mean)
+    if of_stage is not None:
+        slow = of_stage if slow is None else np.concatenate([slow, of_stage], axis=2)
     return Readings(
         mean=mean,
         own_covariance=covariance,
@@ -593,13 +591,29 @@ def reduced(session: Session) -> Readings:
         samples=samples,
         unit=unit,
         slow=slow,
-        stage_modes=stage_modes,
+        stage_modes=0 if of_stage is None else of_stage.shape[2],
         sensor=session.sensor,
         offset_mg=_offsets_mg(session),
         notes=tuple(notes),
         converter=converter,
         **parts,
     )
+
+
+def _stage(session: Session, dwells: list[Dwell], mean: Floats) -> tuple[Floats, Floats | None]:
+    """Return the declared angles (n,) in rad, corrected by the stage's certificate, and its errors.
+
+    The errors (n, axes, k) in mg change the means (n, axes) by one standard deviation each, and dwells
+    share them. None without a certificate.
+    """
+    angle = np.radians([np.nan if d.angle_deg is None else d.angle_deg for d in dwells])
+    if session.stage_curve is None:
+        return angle, None
+    error_deg, changes_deg = session.stage_curve.at(np.degrees(np.nan_to_num(angle)))
+    angle = angle - np.radians(error_deg)
+    # A reading (x, y) moves by (y, −x) per rad of the stage.
+    tangent = np.stack([mean[:, 1], -mean[:, 0]], axis=1) * np.isfinite(angle)[:, None]
+    return angle, tangent[:, :, None] * np.radians(changes_deg)[:, None, :]
 
 
 def _offsets_mg(session: Session) -> tuple[float, ...]:
