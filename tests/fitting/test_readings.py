@@ -425,3 +425,24 @@ def test_counts_that_show_no_scale_are_refused_with_the_name_of_the_file():
     counts = [dwell([row], k, angle_deg=90.0 * k) for k, row in enumerate([(100, 200), (200, 100)])]
     with pytest.raises(FitError, match=r"^counts\.csv: 2 positions cannot show an unknown scale"):
         fit(session(*counts, accel_unit="counts", source="counts.csv"))
+
+
+def test_samples_without_noise_have_a_repeatability_of_nothing():
+    rng = np.random.default_rng(32)
+    for _ in range(20):
+        alpha = rng.uniform(0, 2 * math.pi)
+        held = [
+            Dwell(
+                position=k,
+                time_s=12.0 * k + 0.02 * np.arange(200),
+                accel=np.round(np.tile([math.cos(angle), math.sin(angle)], (200, 1)) * 1000 / 2.522),
+                angle_deg=30.0 * k,
+            )
+            for k, angle in enumerate(alpha - np.radians(30.0 * np.arange(12)))
+        ]
+        # A NumPy warning would be an error here.
+        result = fit(Session(held, sensor="adis16350", accel_unit="lsb", fixture_sigma_deg=0.02))
+        (noise,) = [
+            row for row in result.as_dict()["budget"]["delta_k"] if row["source"] == "repeatability"
+        ]
+        assert noise["u"] < 1e-6

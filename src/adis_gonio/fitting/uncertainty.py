@@ -381,7 +381,9 @@ def _repeatability(data: Readings, noise: NoiseAssumptions, response: Floats) ->
     roots, dof, estimate = repeatability_of(data, noise)
     stated = data.noise_known and bool(np.isinf(data.dof).all())
     mean, moves = _own(data, noise).mean(axis=0), _each(response, roots)
-    u = float(np.sqrt(np.trace(mean) / data.axes))
+    u = math.sqrt(
+        max(float(np.trace(mean)), 0.0) / data.axes
+    )  # a difference: rounding may leave it below 0
     evaluated, note = (_STATED, "stated (reading_u_mg)") if stated else (_STATISTICAL, "")
     return Source(REPEATABILITY, *evaluated, u, moves, note, dof.ravel(), estimate.ravel(), mean)
 
