@@ -360,7 +360,9 @@ def _own(data: Readings, noise: NoiseAssumptions) -> Floats:
     own = data.own_covariance * noise.scale**2
     for part in (data.quantization, data.flicker):
         own = own if part is None else own - _diagonal(part)
-    return np.asarray(own)
+    # If nothing else is there, rounding can leave a difference below 0.
+    diagonal = np.einsum("nii->ni", own)
+    return np.asarray(own + _diagonal(np.maximum(-diagonal, 0.0)))
 
 
 def repeatability_of(data: Readings, noise: NoiseAssumptions) -> tuple[Floats, Floats, NDArray[np.intp]]:
@@ -381,9 +383,7 @@ def _repeatability(data: Readings, noise: NoiseAssumptions, response: Floats) ->
     roots, dof, estimate = repeatability_of(data, noise)
     stated = data.noise_known and bool(np.isinf(data.dof).all())
     mean, moves = _own(data, noise).mean(axis=0), _each(response, roots)
-    u = math.sqrt(
-        max(float(np.trace(mean)), 0.0) / data.axes
-    )  # a difference: rounding may leave it below 0
+    u = float(np.sqrt(np.trace(mean) / data.axes))
     evaluated, note = (_STATED, "stated (reading_u_mg)") if stated else (_STATISTICAL, "")
     return Source(REPEATABILITY, *evaluated, u, moves, note, dof.ravel(), estimate.ravel(), mean)
 
