@@ -411,21 +411,22 @@ def _scale_beside_fixture(
 
     The scatter of the angles is part of χ², but shows little of the readings' noise, so that the
     restricted likelihood decides, and its curvature gives the degrees of freedom. `start_mg`, at which χ²
-    is `dof`, is returned with `dof` if the likelihood has no maximum within a factor of 20.
+    is `dof`, is returned with `dof` if the likelihood has no maximum within a factor of 1000. The angles
+    may scatter some hundred times more than the readings.
     """
     from scipy.optimize import minimize_scalar
 
     def deviance(log_scale: float) -> float:
         return _deviance(follow, replace(noise, scale=math.exp(log_scale)))
 
-    middle, span = math.log(start_mg), math.log(20.0)
+    middle, span = math.log(start_mg), math.log(1000.0)
     found = minimize_scalar(
         deviance, bounds=(middle - span, middle + span), method="bounded", options={"xatol": 0.01}
     )
     at, step = float(found.x), 0.1
     # χ²/s² + 2 ν ln s has the second derivative 4 ν by ln s at its minimum.
     seen = (deviance(at - step) + deviance(at + step) - 2 * float(found.fun)) / (4 * step**2)
-    if abs(at - middle) > span - 2 * step or seen < 1:
+    if abs(at - middle) > span - 2 * step or seen < 0.5:  # six positions show 1 within rounding
         return start_mg, dof
     return math.exp(at), min(seen, dof)
 
