@@ -2,12 +2,15 @@
 
 import io
 import re
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
 
 from adis_gonio.faces.cli import main
-from adis_gonio.faces.cli.show import print_table
+from adis_gonio.faces.cli.show import print_sections, print_table
+from adis_gonio.fleet.fleet_pages import fleet_sections
+from adis_gonio.fleet.fleet_summary import summarise
 
 HEAD = ("serial", "plan", "ΔK", "Δφ / °", "effects", "file")
 ROWS = [
@@ -69,3 +72,13 @@ def test_a_fit_at_40_columns_cuts_no_number(tmp_path, capsys, monkeypatch):
     assert max(map(len, narrow.splitlines())) <= 40
     assert "…" not in narrow
     assert re.search(r"^parameter  unit  +value.*$\n(.*\n)*^bias_x  +mg ", narrow, re.M)
+
+
+def test_a_section_with_more_rows_than_a_screen_names_no_number_that_its_page_has_cut():
+    out = io.StringIO()
+    failures = tuple((f"{k}.csv", "is empty") for k in range(300))
+    failed = fleet_sections(replace(summarise([]), failures=failures), figures=False)
+    print_sections(Console(file=out, width=80, markup=False), failed)
+    assert "39.csv" in out.getvalue()
+    assert "40.csv" not in out.getvalue()
+    assert "The first 40 rows; all are in the JSON document." in out.getvalue()

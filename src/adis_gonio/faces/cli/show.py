@@ -149,7 +149,7 @@ def print_sections(screen: Console, sections: Iterable[Section]) -> None:
             words = set(range(len(table.head))) - set(table.numeric)
             print_table(screen, table.head, table.rows[:_MOST_ROWS], words)
             if len(table.rows) > _MOST_ROWS:
-                screen.print(f"{len(table.rows) - _MOST_ROWS} more: in the JSON document")
+                screen.print(f"The first {_MOST_ROWS} rows; all are in the JSON document.")
         for text in section.notes:
             print_indented(screen, text)
         print_sections(screen, section.parts)
