@@ -390,7 +390,7 @@ def _unknown_readings(
         scale = scale_at_dof(lambda s: follow(replace(noise, scale=s)).chi2, dof, *limits_mg)
     scale_dof = float(dof)
     if scale > _LEAST_SCALE and follow.readings.planar and 0 < noise.sigma_rad < math.inf:
-        scale, scale_dof = _scale_beside_fixture(follow, noise, scale, scale_dof)
+        scale, scale_dof = _estimate_scale(follow, noise, scale, scale_dof)
     if scale <= _LEAST_SCALE:
         notes.append(
             f"the noise of a reading is unknown and {why}: no uncertainty can be given; state reading_u_mg,"
@@ -404,7 +404,7 @@ def _unknown_readings(
     return replace(noise, scale=scale, scale_dof=scale_dof, notes=tuple(notes))
 
 
-def _scale_beside_fixture(
+def _estimate_scale(
     follow: _Follow, noise: NoiseAssumptions, start_mg: float, dof: float
 ) -> tuple[float, float]:
     """Estimate the standard deviation in mg of the readings if that of the declared angles is stated.

@@ -20,8 +20,8 @@ constant by which this session differs from a session on another day.
 
 A dwell of one sample is a reading that was averaged before. `Session.reading_u_mg` is its whole
 uncertainty. If the session does not state it, the noise of every dwell counts as unknown
-(`Readings.noise_known` is False): a fit estimates one noise for all from its residual, beside the shared
-1/f noise of the variant's figure, which the residual shows less than the parameters do.
+(`Readings.noise_known` is False): a fit estimates one noise for all from its residual, in addition to the
+shared 1/f noise of the variant's figure, which the residual shows less than the parameters do.
 
 Readings in `counts` have neither a known zero nor a known gain. An ellipse or ellipsoid through them gives
 rough values of both (`Unit`), so that all later steps use readings that are nearly in mg.
