@@ -69,7 +69,9 @@ def test_each_date_is_another_session_of_one_part_and_a_copy_of_its_samples_coun
     assert "copy.csv holds the same samples as " in said.err
     assert re.search(r"Next calibration of A1: 2\d{3}-\d\d-\d\d, by .*: overdue by \d+ days", said.out)
     assert main(["history", "A1", str(tmp_path)]) == 0
-    assert "Sensor A1: 2 sessions" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert shown.startswith("Sensor A1\n")
+    assert "2 sessions;" in shown
 
 
 @pytest.mark.parametrize("given", ["31.05.2024", "2024/5/31", "soon"])
