@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Callable
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from adis_gonio.base.errors import DataError
+from adis_gonio.fleet import record_of
 from adis_gonio.model.records import Session
 from adis_gonio.record.samples_reader import read_samples_csv
 from adis_gonio.record.samples_writer import write_samples_csv
@@ -154,6 +155,10 @@ def test_times_of_the_wall_clock_are_read(tmp_path, form):
     for here, there in zip(session.dwells, plain.dwells, strict=True):
         np.testing.assert_allclose(here.time_s, there.time_s, rtol=0, atol=1e-9)
     assert "2026-11-24 23:59:58.123" in note(session, "counted from")
+    hours = 2 if "+02" in form else 0
+    utc = (began - timedelta(hours=hours)).replace(tzinfo=UTC)
+    assert record_of(tmp_path / "b.csv").when == utc.isoformat(timespec="seconds")  # a history needs it
+    assert record_of(tmp_path / "a.csv").when is None
 
 
 def test_times_of_the_wall_clock_in_a_file_with_decimal_commas(tmp_path):

@@ -473,7 +473,7 @@ def _unfit(record: SessionRecord) -> str:
     if record.status != "ok":
         return record.reason
     if record.when is None:
-        return "no date: a samples CSV does not state its time of recording"
+        return "no date: a samples CSV has one only if time_s has times like 2026-11-24 10:00:00"
     return f"the result cannot be right: {record.doubts[0]}" if record.doubts else ""
 
 

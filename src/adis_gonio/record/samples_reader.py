@@ -22,7 +22,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from datetime import datetime
+from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -41,7 +41,7 @@ from adis_gonio.record.samples_columns import COLUMNS, SAME
 from adis_gonio.record.segmentation import segment_with_notes, shows_a_free_turn
 
 _WALL_CLOCK = re.compile(
-    r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d+)?)?\s*(Z|[+-]\d\d(:?\d\d)?)?", re.ASCII
+    r"[12]\d{3}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d+)?)?\s*(Z|[+-]\d\d(:?\d\d)?)?", re.ASCII
 )
 """Pattern of a time in ISO 8601 with its date, as loggers write it, with or without Z or an offset."""
 # Possessive quantifiers (++) prevent backtracking, which takes hours in a cell of thousands of digits.
@@ -76,6 +76,8 @@ class SamplesTable:
         Remarks on the head and on rows that were left out.
     lines : array of int
         Line number in the file, from 1, of each row of the table.
+    began : datetime or None
+        Time of the first row; None unless the file has times of the wall clock.
     """
 
     def __init__(self, head: samples_header.Head) -> None:
@@ -91,8 +93,7 @@ class SamplesTable:
         """Decimal mark, and whether a number has proved it."""
         self._doubtful: tuple[str, str, int] | None = None
         """Column, text and line of the first number with a mark; None before it."""
-        self._began: datetime | None = None
-        """Time of the first row; None unless the file has times of the wall clock."""
+        self.began: datetime | None = None
         self._repeated, self._first_repeated = 0, 0
         self._waiting: tuple[int, str, str] | None = None
         """Line allowed only at the end: its number, the error elsewhere, the note at the end; or None."""
@@ -259,7 +260,7 @@ class SamplesTable:
             for name in members:
                 column = self.head.columns[name]
                 numbers = self._column(name, columns[column.place], lines)
-                if column.scale != SAME and not (name == "time_s" and self._began):
+                if column.scale != SAME and not (name == "time_s" and self.began):
                     numbers = numbers * column.scale[0] / column.scale[1] + column.scale[2]
                 values[name] = numbers
         return values
@@ -270,9 +271,7 @@ class SamplesTable:
         `lines` are the line numbers of the cells in the file, for messages.
         """
         each = zip(cells, lines, strict=True)
-        if name == "time_s" and (
-            self._began or (not len(self) and _WALL_CLOCK.fullmatch(cells[0].strip()))
-        ):
+        if name == "time_s" and (self.began or (not len(self) and _WALL_CLOCK.fullmatch(cells[0].strip()))):
             return np.array([self._since_beginning(*one) for one in each])
         text = "\n".join(cells)
         if "_" not in text:
@@ -291,13 +290,11 @@ class SamplesTable:
         with suppress(ValueError):
             if _WALL_CLOCK.fullmatch(text):
                 at = datetime.fromisoformat(text.replace(" +", "+").replace(" -", "-").replace(" Z", "Z"))
-                self._began = self._began or at
-                if (at.tzinfo is None) == (self._began.tzinfo is None):
-                    return (at - self._began).total_seconds()
-        if self._began is None:
-            raise self.fail(line, f"column 'time_s': '{text}' is not a number")
-        like = f"'{text}' is not a time like '{self._began.isoformat(' ')}' before it"
-        raise self.fail(line, f"column 'time_s': {like}")
+                self.began = self.began or at
+                if (at.tzinfo is None) == (self.began.tzinfo is None):
+                    return (at - self.began).total_seconds()
+        like = f"a time like '{self.began.isoformat(' ')}' before it" if self.began else "a number"
+        raise self.fail(line, f"column 'time_s': '{text}' is not {like}")
 
     def _number(self, name: str, cell: str, line: int) -> float:
         cell = cell.strip()
@@ -336,8 +333,8 @@ class SamplesTable:
                 " with decimal points, and with commas between the cells",
             )
         self.notes += [note for note in (self._waiting or ())[2:] if note]
-        if self._began is not None:
-            self.notes.append(f"time_s is counted from {self._began.isoformat(' ')}")
+        if self.began is not None:
+            self.notes.append(f"time_s is counted from {self.began.isoformat(' ')}")
         if self._repeated:
             of = f"{self._repeated} of {len(self)} rows have the time of the row before"
             self.notes.append(f"{of}, first in row {self._first_repeated}: a coarse clock, or rows twice")
@@ -353,7 +350,7 @@ class SamplesTable:
             self.series[name] = rows.reshape(len(self), -1) if name in ("accel", "gyro") else rows
         column, time_s = self.head.columns["time_s"], self.series["time_s"][: 1 << 16]
         step = float(np.median(np.diff(time_s))) if len(self) > 1 else 0.0
-        if step >= _SLOWEST_S and not (self._began or column.plain or column.unit):
+        if step >= _SLOWEST_S and not (self.began or column.plain or column.unit):
             raise self.fail(
                 self.head.line,
                 f"column '{column.text}' states no unit and its rows are {step:g} apart: call it time_s or "
@@ -409,6 +406,10 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
     path, overrides = Path(path), overrides or Overrides()
     table = read_table(path, dict(overrides.columns))
     settings = table.head.settings(unit_given=overrides.accel_unit is not None)
+    if table.began is not None:
+        # A time without a zone is taken as UTC.
+        utc = table.began.replace(tzinfo=table.began.tzinfo or UTC).astimezone(UTC)
+        settings["facts"] = settings.get("facts", {}) | {"started_utc": utc.isoformat()}
     if settings.get("plane") == "none" and table.series["accel"].shape[1] < 3:
         raise DataError(f"{path.name}: column 'az' is missing; plane 'none' needs ax, ay and az")
     recording: Dwell | None = _dwell(table, 0, slice(0, len(table)))
