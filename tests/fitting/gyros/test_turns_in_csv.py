@@ -80,6 +80,26 @@ def test_gains_follow_from_declared_angles_that_are_no_whole_turns(tmp_path: Pat
     assert isinstance(result.calibration(), GyroCalibration)
 
 
+@pytest.mark.parametrize(("factor", "told"), [(2.0, "2.00"), (-1.0, "−1.00")])
+def test_whole_turns_do_not_hide_a_wrong_range_or_sign(tmp_path: Path, factor: float, told: str) -> None:
+    rows = []
+    for row in table_turns((360.0, -360.0), seed=4):
+        cells = row.split(",")
+        rows.append(",".join([*cells[:6], *(f"{factor * float(cell):.4f}" for cell in cells[6:])]))
+    result = fit(write(tmp_path / "range.csv", rows), part="gyro")
+    (line,) = [text for text in result.warnings if "in all 6 declared turns" in text]
+    assert f"turned {told} times turned_deg" in line
+
+
+def test_one_miscounted_turn_is_no_sign_of_a_wrong_range(tmp_path: Path) -> None:
+    rows = table_turns((360.0, -360.0), seed=5)
+    changed = [row.replace(",360,", ",720,") if row.split(",")[1] == "1" else row for row in rows]
+    assert changed != rows
+    result = fit(write(tmp_path / "one.csv", changed), part="gyro")
+    assert result.turns == 6
+    assert not any("declared turns" in text for text in result.warnings)
+
+
 def test_a_wrongly_declared_angle_is_refused_and_named(tmp_path: Path) -> None:
     rows = [
         row.replace(",450,", ",400,") if row.split(",")[1] == "3" else row for row in table_turns(seed=2)

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import DataError, UsageError
-from adis_gonio.base.numbers import format_ranges
+from adis_gonio.base.numbers import format_fixed, format_ranges
 from adis_gonio.device.sensor.registers import GYRO_LSB_DPS, VARIANTS
 from adis_gonio.fitting.estimation.readings import (
     Readings,
@@ -252,12 +252,17 @@ def rate_intervals(session: Session, calibration: Calibration | None = None) -> 
     turns = [t for t in session.turns if {t.before, t.position} <= rests.by_position.keys()]
     triad = turn_integration.triad_of(session, calibration) if turns else None
     refused: dict[str, list[int]] = {}
+    ratios: list[float] = []
     if triad is not None:
         consecutive, whole = _consecutive(turns), any(turn.turned_deg is not None for turn in turns)
         for turn in turns:
             found = _interval_of_turn(session, turn, rests, triad, consecutive[turn.position])
             if not isinstance(found, str):
                 rows.append(found)
+                if turn.turned_deg:
+                    # The accelerometers read the opposite of the upward axis.
+                    turned_deg = -found["length_s"] * float(found["rotation_dps"] @ found["force_g"])
+                    ratios.append(turned_deg / turn.turned_deg / float(np.linalg.norm(found["force_g"])))
             elif turn.turned_deg is not None or not whole:
                 # Between whole turns a part may be laid down in any way: such turns need no message.
                 refused.setdefault(found, []).append(turn.position)
@@ -268,7 +273,24 @@ def rate_intervals(session: Session, calibration: Calibration | None = None) -> 
             f"turn{'s' if len(ends) > 1 else ''} to dwell {format_ranges(ends)}: {why}"
             for why, ends in refused.items()
         ),
-        () if triad is None or not any(row["turn"] for row in rows) else triad.notes,
+        ()
+        if triad is None or not any(row["turn"] for row in rows)
+        else (*triad.notes, *_miscounted(ratios)),
+    )
+
+
+def _miscounted(ratios: Sequence[float]) -> tuple[str, ...]:
+    """Return a note if the gyro turned another number of whole turns than declared in every declared turn.
+
+    `ratios` are the counted angles of the turns over the declared ones. One turn is miscounted by a hand,
+    all of them by a wrong range or unit of the gyros, which whole turns would hide.
+    """
+    if len(ratios) < 2 or min(abs(ratio - 1) for ratio in ratios) < 0.1:
+        return ()
+    ratio = format_fixed(float(np.median(ratios)), 2)
+    return (
+        f"in all {len(ratios)} declared turns the gyros turned {ratio} times turned_deg, and whole turns "
+        "are counted as turned: check the range, unit and signs of the gyros, or turned_deg",
     )
 
 
