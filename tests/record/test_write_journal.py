@@ -1,4 +1,4 @@
-"""Remarks on offsets that were written after a recording: what the part holds, and what its flash keeps."""
+"""Remarks on offsets written after a recording, by the content of the registers and of the flash."""
 
 from __future__ import annotations
 
