@@ -7,7 +7,8 @@ import pytest
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.device.sensor.registers import ND
 
-URL = "serial:?serial_number=FW1"
+URL = "serial:?serial_number=FW1&boot_ms=60000"
+"""On a busy host the guest reads a stream slowly: the answer to a hello waits behind scans."""
 SCANS = 400
 
 

@@ -7,7 +7,7 @@
 |---|---|---|
 | `baud` | 500000, or 1000000 if the firmware was built with it; a Pico has none | 500000 |
 | `edge` | edge of data-ready that starts a scan: `falling` or `rising` | falling |
-| `boot_ms` | longest wait for the firmware after opening | 3000 |
+| `boot_ms` | longest wait for the firmware after opening or a lost session | 3000 |
 | `serial_number` | USB serial number, instead of a port | |
 
 Requests and replies follow firmware_proto/PROTOCOL.md. A request is repeated with its own id until it is
@@ -508,12 +508,10 @@ class SerialStream(FrameStream):
 
 
 BOOT_S = 3.0
-"""Time in s for which a hello is repeated after opening.
+"""Time in s for which a hello is repeated, after opening and after a lost session.
 
 Many boards reset on opening, and their boot loader waits.
 """
-AGAIN_S = 1.5
-"""Time in s for which a hello is repeated if the board is already running."""
 _USB_BYTE_S = 1e-6
 """Time in s of a byte on full-speed USB: 64 bytes take about 60 µs."""
 _GATHER_S = 0.01
@@ -532,7 +530,7 @@ class SerialBus(HostBus):
     clock : Clock
         The bus's clock.
     boot_s : float
-        Longest wait for the firmware in s.
+        Longest wait in s for the answer to a hello.
     trigger : Trigger
         Edge of data-ready that starts a scan of a stream; the chip's data-ready pulse is low unless bit
         MSC_CTRL[1] is set.
@@ -569,6 +567,7 @@ class SerialBus(HostBus):
     ) -> None:
         super().__init__(url, clock)
         self._resources.callback(port.close)
+        self._boot_s = boot_s
         self._trigger = trigger
         self.edge_rises = trigger is wire.Trigger.RISING
         self._link = link or SerialLink(port, url=url, clock=clock)
@@ -733,7 +732,7 @@ class SerialBus(HostBus):
 
     def _renew(self) -> None:
         """Open a new session by a hello request, which resets the SPI timing; set the timing again."""
-        self.firmware = self._link.hello(AGAIN_S)
+        self.firmware = self._link.hello(self._boot_s)
         timing = self.timing
         stall, period = math.ceil(timing.stall_us), math.ceil(timing.period_us)
         self._ask_once(wire.ConfigureRequest(int(timing.clock_hz), stall, period), wire.ConfigureReply)
