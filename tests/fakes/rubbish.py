@@ -33,7 +33,7 @@ from adis_gonio.sim.testing.firmware import SimulatedFirmware
 from adis_gonio.sim.testing.pins import ChipPins, VirtualClock
 from fakes.cp2130_device import Cp2130Device
 from fakes.cp2130_usb import FakeUsbBackend, UsbBoard
-from fakes.mcp2210_device import Mcp2210Device
+from fakes.mcp2210_device import CHIP_SETTINGS, SETTINGS, Mcp2210Device
 from fakes.mcp2210_hid import FakeHid, HidBoard
 from fakes.spidev_kernel import MESSAGE, RD_MODE32, TRANSFER, FakeSpidevKernel
 
@@ -291,11 +291,13 @@ REPLIES = (
     wire.StatisticsReply,
 )
 PARSERS: dict[str, Callable[[bytes], object]] = {
-    "MCP2210 chip settings": mcp2210_reports.ChipSettings.parse,
-    "MCP2210 SPI settings": mcp2210_reports.SpiSettings.parse,
-    "MCP2210 transfer": mcp2210_reports.Progress.parse,
-    "MCP2210 poll": mcp2210_reports.Progress.of_poll,
-    "MCP2210 events": lambda data: mcp2210_reports.word_of(data, mcp2210_reports.Command.EVENTS),
+    "MCP2210 chip settings": lambda data: mcp2210_reports.unpack(
+        data, mcp2210_reports.Command.GET_CHIP, CHIP_SETTINGS
+    ),
+    "MCP2210 SPI settings": lambda data: mcp2210_reports.unpack(
+        data, mcp2210_reports.Command.GET_SPI, SETTINGS
+    ),
+    "MCP2210 transfer": mcp2210_reports.progress,
     "MCP2210 mark": lambda data: mcp2210_reports.is_mark(data, 7),
     "CP2130 frame": cp2130_requests.parse_frame,
     "CP2130 SPI words": cp2130_requests.parse_spi_words,

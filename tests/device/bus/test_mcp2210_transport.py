@@ -1,6 +1,7 @@
 """The MCP2210 transport over a fake module hid, down to reports."""
 
 import contextlib
+import struct
 
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -18,6 +19,7 @@ from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.testing.bus_contract import BusContract, Rig
 from adis_gonio.sim.testing.faults import Faults
 from fakes.benches import Mcp2210Bench as Bench
+from fakes.mcp2210_device import CHIP_SETTINGS, SETTINGS
 
 
 class TestMcp2210(BusContract):
@@ -351,35 +353,31 @@ def test_the_late_answer_of_an_earlier_cancel_is_not_taken_for_that_of_the_last(
 @settings(deadline=None)
 @given(st.binary(max_size=70))
 def test_parsers_take_any_bytes(data):
-    for parse in (
-        r.ChipSettings.parse,
-        r.SpiSettings.parse,
-        r.Progress.parse,
-        r.Progress.of_poll,
-        lambda answer: r.word_of(answer, r.Command.EVENTS),
-    ):
+    with contextlib.suppress(ProtocolError):
+        r.progress(data)
+    for layout in (CHIP_SETTINGS, SETTINGS):
         with contextlib.suppress(ProtocolError):
-            parse(data)
+            r.unpack(data, r.Command.EVENTS, layout)
 
 
 @settings(deadline=None)
 @given(st.binary(min_size=63, max_size=63))
 def test_a_progress_never_carries_more_than_a_frame(data):
     with contextlib.suppress(ProtocolError):
-        assert len(r.Progress.parse(b"\x42" + data).data) <= 2
+        assert len(r.progress(b"\x42" + data)[1]) <= 2
 
 
 def test_parsers_refuse_what_is_not_theirs():
-    chip = bytes([0x20, 0, 0, 0]) + bytes([0, 1, 2, 0, 0, 0, 0, 0, 0])
-    assert r.ChipSettings.parse(chip.ljust(64, b"\0")).designations[:3] == bytes((0, 1, 2))
+    bench = Bench()
+    bench.device.designations[8] = 3
     with pytest.raises(ProtocolError, match="designation"):
-        r.ChipSettings.parse(chip.replace(b"\x02", b"\x03").ljust(64, b"\0"))
+        bench.open()
     with pytest.raises(ProtocolError, match=r"0x12 .* 0x42"):
-        r.Progress.parse(bytes([0x12]).ljust(64, b"\0"))
-    word = bytes([0x31, 0, 0, 0, 0xFE, 0x01]).ljust(64)
-    assert r.word_of(word, r.Command.GET_GPIO_VALUES) == 0x1FE
+        r.progress(bytes([0x12]).ljust(64, b"\0"))
+    word, layout = bytes([0x31, 0, 0, 0, 0xFE, 0x01]).ljust(64), struct.Struct("<H")
+    assert r.unpack(word, r.Command.GET_GPIO_VALUES, layout) == (0x1FE,)
     with pytest.raises(ProtocolError, match="GET_GPIO_VALUES is refused: the SPI engine is busy"):
-        r.word_of(word.replace(b"\x31\x00", b"\x31\xf8"), r.Command.GET_GPIO_VALUES)
+        r.unpack(word.replace(b"\x31\x00", b"\x31\xf8"), r.Command.GET_GPIO_VALUES, layout)
     assert r.is_mark(bytes([0x50, 0, 7]).ljust(64), 7)
     assert not r.is_mark(bytes([0x12, 0, 7]).ljust(64), 7)
 

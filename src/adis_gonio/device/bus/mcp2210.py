@@ -184,9 +184,9 @@ def data_of(answer: bytes, command: Command) -> bytes:
     return answer[4:]
 
 
-def word_of(answer: bytes, command: Command) -> int:
-    """Return the 16-bit word in an answer to `command`: a count of events, or one bit for each pin."""
-    return int(_WORD.unpack_from(data_of(answer, command))[0])
+def unpack(answer: bytes, command: Command, layout: struct.Struct) -> tuple[Any, ...]:
+    """Return the values in the content of an answer to `command`; raises the errors of `data_of`."""
+    return layout.unpack_from(data_of(answer, command))
 
 
 def mark(number: int) -> bytes:
@@ -215,18 +215,6 @@ class ChipSettings(NamedTuple):
     directions: int
     flags: int
 
-    @classmethod
-    def parse(cls, answer: bytes) -> ChipSettings:
-        """Create the settings from an answer to `GET_CHIP`."""
-        settings = cls._make(_CHIP.unpack_from(data_of(answer, Command.GET_CHIP)))
-        if max(settings.designations) > Designation.DEDICATED:
-            raise ProtocolError("MCP2210: a pin's designation is none of GPIO, CS, dedicated")
-        return settings
-
-    def request(self) -> bytes:
-        """Return the report of the command `SET_CHIP` with these settings."""
-        return request(Command.SET_CHIP, bytes(3) + _CHIP.pack(*self))
-
 
 class SpiSettings(NamedTuple):
     """SPI settings in RAM (commands 0x40, 0x41): bit rate, chip-select levels, delays, length, mode.
@@ -243,55 +231,29 @@ class SpiSettings(NamedTuple):
     transaction: int
     mode: int
 
-    @classmethod
-    def parse(cls, answer: bytes) -> SpiSettings:
-        """Create the settings from an answer to `GET_SPI`."""
-        return cls._make(_SPI.unpack_from(data_of(answer, Command.GET_SPI)))
 
-    def request(self) -> bytes:
-        """Return the report of the command `SET_SPI` with these settings."""
-        return request(Command.SET_SPI, bytes(3) + _SPI.pack(*self))
+def progress(answer: bytes) -> tuple[Engine, bytes]:
+    """Return the state of the SPI engine, and the bytes received since the last answer.
 
+    `answer` is the answer to a transfer. While the engine clocks, it refuses a transfer without data, which
+    asks for the received bytes, with status 0xF8 (data sheet DS22288A, figure 3-23); this counts as
+    `Engine.STARTED`.
 
-def transfer(data: bytes = b"") -> bytes:
-    """Return the report that starts an SPI transaction with `data`.
-
-    Without data the report fetches received bytes.
+    Raises
+    ------
+    ProtocolError
+        The answer belongs to another command, the transfer was refused, or the content is not possible.
     """
-    return request(Command.TRANSFER, bytes([len(data), 0, 0]) + data)
-
-
-class Progress(NamedTuple):
-    """State of an SPI transaction: the engine's state and the bytes received since the last answer."""
-
-    engine: Engine
-    data: bytes
-
-    @classmethod
-    def parse(cls, answer: bytes) -> Progress:
-        """Create the state from the answer to a transfer that was accepted."""
-        data = data_of(answer, Command.TRANSFER)
-        count = answer[2]
-        if count > FRAME_BYTES:
-            raise ProtocolError(f"MCP2210: {count} bytes came in for a frame of {FRAME_BYTES}")
-        try:
-            engine = Engine(answer[3])
-        except ValueError:
-            raise ProtocolError(f"MCP2210: engine state 0x{answer[3]:02X} is not defined") from None
-        if engine is Engine.STARTED and count:
-            raise ProtocolError("MCP2210: data before the transfer has started")
-        return cls(engine, data[:count])
-
-    @classmethod
-    def of_poll(cls, answer: bytes) -> Progress:
-        """Create the state from the answer to a transfer without data, which asks for the received bytes.
-
-        While the engine clocks, it refuses such a transfer with status 0xF8 (data sheet DS22288A, figure
-        3-23); this counts as `Engine.STARTED`.
-        """
-        if status_of(answer, Command.TRANSFER) == BUSY:
-            return cls(Engine.STARTED, b"")
-        return cls.parse(answer)
+    if status_of(answer, Command.TRANSFER) == BUSY:
+        return Engine.STARTED, b""
+    data, count, state = data_of(answer, Command.TRANSFER), answer[2], answer[3]
+    if count > FRAME_BYTES:
+        raise ProtocolError(f"MCP2210: {count} bytes came in for a frame of {FRAME_BYTES}")
+    if state not in {*Engine}:
+        raise ProtocolError(f"MCP2210: engine state 0x{state:02X} is not defined")
+    if state == Engine.STARTED and count:
+        raise ProtocolError("MCP2210: data before the transfer has started")
+    return Engine(state), data[:count]
 
 
 AT_ONCE_S = 0.5
@@ -345,8 +307,8 @@ class Mcp2210Bus(host.UsbBus):
         # chip divides 12 MHz; the rate is the fastest possible one not above the wanted clock.
         rate, idle = BASE_HZ // -int(-BASE_HZ // timing.clock_hz), (1 << PINS) - 1
         wanted = SpiSettings(rate, idle, idle & ~(1 << self._options.cs), 0, 0, 0, FRAME_BYTES, 3)
-        self._ask_done(Command.SET_SPI, wanted.request())
-        got = SpiSettings.parse(self._ask(Command.GET_SPI))
+        self._set(Command.SET_SPI, _SPI, *wanted)
+        got = SpiSettings(*self._get(Command.GET_SPI, _SPI))
         if got[1:] != wanted[1:] or not 0 < got.bit_rate_hz <= timing.clock_hz:
             raise ProtocolError(f"{self.url}: the MCP2210 did not take its settings: {got}")
         return SpiTiming(float(got.bit_rate_hz), timing.stall_us, timing.period_us)
@@ -356,9 +318,9 @@ class Mcp2210Bus(host.UsbBus):
         data = b""
         deadline = self._clock.now_s() + self._options.timeout_s
         while True:
-            progress = Progress.of_poll(self._ask(Command.TRANSFER, transfer()))
-            data += progress.data
-            if progress.engine is Engine.FINISHED:
+            engine, received = progress(self._ask(Command.TRANSFER))
+            data += received
+            if engine is Engine.FINISHED:
                 break
             if self._clock.now_s() > deadline:
                 raise BusTimeoutError(
@@ -375,11 +337,10 @@ class Mcp2210Bus(host.UsbBus):
         A refused transaction has clocked nothing.
         """
         for left in range(_TRIES - 1, -1, -1):
-            answer = self._ask(Command.TRANSFER, transfer(data))
+            answer = self._ask(Command.TRANSFER, bytes([len(data), 0, 0]) + data)
             status = status_of(answer, Command.TRANSFER)
             if status == DONE:
-                progress = Progress.parse(answer)
-                if STARTS_WITHOUT_DATA and progress.engine is not Engine.STARTED:
+                if STARTS_WITHOUT_DATA and progress(answer)[0] is not Engine.STARTED:
                     raise ProtocolError(f"{self.url}: data before the transfer has started")
                 return
             if status not in (BUSY, NOT_OWNED):
@@ -394,20 +355,22 @@ class Mcp2210Bus(host.UsbBus):
     def _pull_reset(self) -> None:
         bit = 1 << (self._options.reset_gpio or 0)
         self._settle()
-        values = self._word(Command.GET_GPIO_VALUES)
-        inputs = self._word(Command.GET_GPIO_DIRECTIONS)
-        self._send_word(Command.SET_GPIO_VALUES, values & ~bit)
+        (values,) = self._get(Command.GET_GPIO_VALUES, _WORD)
+        (inputs,) = self._get(Command.GET_GPIO_DIRECTIONS, _WORD)
+        self._set(Command.SET_GPIO_VALUES, _WORD, values & ~bit)
         for directions in (inputs & ~bit, inputs | bit):
-            self._send_word(Command.SET_GPIO_DIRECTIONS, directions)
+            self._set(Command.SET_GPIO_DIRECTIONS, _WORD, directions)
             self.sleep_s(host.RESET_PULSE_S)
 
     def _count_edges(self) -> int:
         """Return the number of data-ready edges on pin GP6 since the last call."""
         self._settle()
-        return self._word(Command.EVENTS)
+        return int(self._get(Command.EVENTS, _WORD)[0])
 
     def _set_pins(self) -> None:
-        now, options = ChipSettings.parse(self._ask(Command.GET_CHIP)), self._options
+        now, options = ChipSettings(*self._get(Command.GET_CHIP, _CHIP)), self._options
+        if max(now.designations) > Designation.DEDICATED:
+            raise ProtocolError(f"{self.url}: a pin's designation is none of GPIO, CS, dedicated")
         designations, directions, flags = bytearray(now.designations), now.directions, now.flags
         designations[options.cs] = Designation.CS
         if options.reset_gpio is not None:
@@ -418,30 +381,25 @@ class Mcp2210Bus(host.UsbBus):
             flags = flags & ~EVENT_MODE_MASK | COUNT_RISING_EDGES << 1
         wanted = ChipSettings(bytes(designations), now.outputs, directions, flags)
         if wanted != now:
-            self._ask_done(Command.SET_CHIP, wanted.request())
+            self._set(Command.SET_CHIP, _CHIP, *wanted)
         if options.event_counter:
             self._ask(Command.EVENTS)
 
     # -- reports --------------------------------------------------------------------------------------
 
-    def _ask_done(self, command: Command, report: bytes) -> None:
-        status = status_of(self._ask(command, report), command)
-        if status != DONE:
-            raise ProtocolError(f"{self.url}: {status_words(status)}")
+    def _get(self, command: Command, layout: struct.Struct) -> tuple[Any, ...]:
+        return unpack(self._ask(command), command, layout)
 
-    def _send_word(self, command: Command, word: int) -> None:
-        self._ask_done(command, request(command, bytes(3) + _WORD.pack(word)))
+    def _set(self, command: Command, layout: struct.Struct, *values: Any) -> None:
+        data_of(self._ask(command, bytes(3) + layout.pack(*values)), command)
 
-    def _word(self, command: Command) -> int:
-        return word_of(self._ask(command), command)
+    def _ask(self, command: Command, body: bytes = b"") -> bytes:
+        """Send a command with the bytes `body` after its code, and return its answer.
 
-    def _ask(self, command: Command, report: bytes | None = None) -> bytes:
-        """Send a command and return its answer.
-
-        `report` is the HID report of the command; None is a report without further bytes. After an error,
-        the next use of the bus first brings the device back to a known state.
+        A transfer without a body fetches received bytes. After an error, the next use of the bus first
+        brings the device back to a known state.
         """
-        report = request(command) if report is None else report
+        report = request(command, body)
         try:
             answer = self._await(report, lambda answer: len(answer) != REPORT or answer[0] == command)
             status_of(answer, command)
