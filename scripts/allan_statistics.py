@@ -171,7 +171,7 @@ def _of_axis(axis: AxisNoise, case: Case) -> Row:
     row: Row = {"adequate": axis.adequacy >= 0.01, "kinds": {}}
     for parameter in axis.parameters:
         truth = case.truth.get(parameter.kind, 0.0)
-        low, high = parameter.profile.low, parameter.profile.high
+        low, high = parameter.low, parameter.high
         value = parameter.value
         row["kinds"][parameter.kind] = {
             "claimed": parameter.present,

@@ -146,7 +146,7 @@ def _section(result: AllanResult, axis: AxisNoise, *, figures: bool) -> Section:
             unit = numbers.format_unit(parameter.unit)
             absent.append(f"{allan_fit.name_shown(parameter)} / {unit}: {allan_fit.missing(parameter)}")
     return Section(
-        f"{axis.axis.upper()}",
+        f"{axis.name.upper()}",
         points=[*absent, *axis.notes],
         figures=(_figure(result, axis),) if figures else (),
         tables=(Table(("noise", *allan_fit.HEAD[1:]), rows, numeric=(1, 2, 3, 4)),),
@@ -161,7 +161,7 @@ def _figure(result: AllanResult, axis: AxisNoise) -> Figure:
         Series(curve.tau_s, curve.high, "", role="model", style="line"),
         Series(curve.tau_s, curve.model, "fitted noise", role="after", style="line"),
     ]
-    title = f"Allan deviation of {axis.axis}"
+    title = f"Allan deviation of {axis.name}"
     unit = numbers.format_unit(result.unit)
     # A sentence for a screen reader.
     first, last, least = (
@@ -173,7 +173,7 @@ def _figure(result: AllanResult, axis: AxisNoise) -> Figure:
         "averaging time / s",
         f"Allan deviation / {unit}",
         title=title,
-        description=f"{axis.axis.upper()}: from {first} to {last}, least {least}.",
+        description=f"{axis.name.upper()}: from {first} to {last}, least {least}.",
         x_log=True,
         y_log=True,
     )

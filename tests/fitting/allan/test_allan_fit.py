@@ -40,14 +40,14 @@ def test_of_white_noise_nothing_else_is_claimed_and_what_is_absent_has_a_limit_a
             assert document["interval_95"][0] == 0 < document["upper_95"]
     # A walk or a floor as large as its limit would be seen in the plot.
     curve = found["x"].curve
-    assert found["x"]["flicker"].profile.high < curve.deviation.max()
+    assert found["x"]["flicker"].high < curve.deviation.max()
 
 
 def test_all_three_are_found_where_they_are():
     found = known(ALL, samples(ALL, 3))
     for axis in found.axes:
         for kind, truth in ALL.truth.items():
-            low, high = axis[kind].profile.low, axis[kind].profile.high
+            low, high = axis[kind].low, axis[kind].high
             assert axis[kind].present
             assert 0 < low < axis[kind].value.value < high
             assert axis[kind].value.value == pytest.approx(truth, abs=4 * axis[kind].value.u)
@@ -60,8 +60,8 @@ def test_small_noise_has_intervals_in_proportion():
     gyro = samples(WHITE, 7)
     for axis, small in zip(known(WHITE, gyro).axes, known(WHITE, 1e-5 * gyro).axes, strict=True):
         for one, other in zip(axis.parameters, small.parameters, strict=True):
-            ends = (one.profile.low, one.profile.high)
-            assert [1e5 * other.profile.low, 1e5 * other.profile.high] == pytest.approx(ends, rel=1e-4)
+            ends = (one.low, one.high)
+            assert [1e5 * other.low, 1e5 * other.high] == pytest.approx(ends, rel=1e-4)
 
 
 def test_intervals_cover_and_absent_noise_is_claimed_no_more_often_than_said():
@@ -73,7 +73,7 @@ def test_intervals_cover_and_absent_noise_is_claimed_no_more_often_than_said():
             count += 1
             walks += axis["walk"].present
             for kind in inside:
-                low, high = axis[kind].profile.low, axis[kind].profile.high
+                low, high = axis[kind].low, axis[kind].high
                 inside[kind] += low <= case.truth[kind] <= high
     for hits in inside.values():
         assert stats.binom.cdf(hits, count, 0.95) > 0.005

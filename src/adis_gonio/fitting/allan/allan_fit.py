@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
@@ -17,9 +18,9 @@ from scipy import fft, special
 from adis_gonio.base.arrays import Floats, solvable
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import DataError, UsageError
-from adis_gonio.base.jsonable import HIDDEN, KEYED_BY_NAME, JsonRecord, json_object, key
+from adis_gonio.base.jsonable import HIDDEN, KEYED_BY_NAME, JsonRecord, key
 from adis_gonio.base.numbers import counted, format_number, format_p, format_unit
-from adis_gonio.base.uncertainty import INADEQUATE, NORMAL_95, SLOW_NOISE, Value, finite_or_none
+from adis_gonio.base.uncertainty import INADEQUATE, NORMAL_95, SLOW_NOISE, Value
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.device.sensor.settings import (
     filter_response,
@@ -32,8 +33,8 @@ from adis_gonio.fitting.allan.spectral_likelihood import (
     AllanCurve,
     Kind,
     Likelihood,
+    NoiseParameter,
     Ordinates,
-    Profile,
     SpectralLine,
     curve,
     ordinates,
@@ -66,79 +67,12 @@ _UNITS = {
 """Units of the coefficients of the noise processes, by the unit of the samples."""
 
 
-@dataclass(frozen=True)
-class NoiseParameter:
-    """One noise process of one axis.
-
-    Attributes
-    ----------
-    kind : {"quantization", "white", "flicker", "walk"}
-        Kind of the noise process; `white` is angle or velocity random walk, `flicker` bias instability.
-    name : str
-        Such as `angle_random_walk`. `bias_instability` is the floor of the Allan deviation.
-    unit : str
-        Unit of the coefficient.
-    profile : Profile
-        Likelihood of the coefficient, in `unit`.
-    """
-
-    kind: Kind
-    name: str
-    unit: str
-    profile: Profile
-
-    @property
-    def present(self) -> bool:
-        """True if a test of the hypothesis that this noise process is absent rejects it."""
-        return self.profile.present
-
-    @property
-    def value(self) -> Value | None:
-        """Coefficient of the process with its uncertainty; None if the process may be absent.
-
-        The expanded uncertainty U is the longer side of the 95 % interval, and the coverage factor k is
-        U/u.
-        """
-        if not self.present:
-            return None
-        found = self.profile
-        arm = max(found.high - found.value, found.value - found.low)
-        return Value(found.value, found.u, self.unit, found.dof, factor=arm / found.u)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the JSON object of a noise process: its value with uncertainty, interval and upper limit.
-
-        The value, u, its degrees of freedom ν, k and U are null if the process may be absent.
-        """
-        value, found = self.value, self.profile
-        empty = {"value": None, "u": None, "dof": None, "k": None, "U": None, "unit": self.unit}
-        return {
-            "present": self.present,
-            **(empty if value is None else value.as_dict()),
-            "interval_95": [found.low, finite_or_none(found.high)],
-            "upper_95": finite_or_none(found.high),
-            "p_value": found.p_value,
-        }
-
-
-def parameters(part: Part, unit: str, profiles: dict[Kind, Profile]) -> tuple[NoiseParameter, ...]:
-    """Return the noise processes of one axis, with names and units for an accelerometer or a gyro.
-
-    `unit` is the unit of the samples (`dps`, `mg` or `counts`); `profiles` has the likelihood of each
-    fitted process.
-    """
-    named = zip(KINDS, _NAMES[part], _UNITS[unit], strict=True)
-    return tuple(
-        NoiseParameter(kind, name, own, profiles[kind]) for kind, name, own in named if kind in profiles
-    )
-
-
 class AxisNoise(JsonRecord):
     """Noise of one axis.
 
     Attributes
     ----------
-    axis : str
+    name : str
         `x`, `y` or `z`.
     parameters : tuple of NoiseParameter
         Noise processes in the order of `spectral_likelihood.KINDS`; with the chip's filter on, without
@@ -163,7 +97,7 @@ class AxisNoise(JsonRecord):
         Remarks for the user, one line each.
     """
 
-    axis: str = field(metadata=HIDDEN)
+    name: str = field(metadata=HIDDEN)
     parameters: tuple[NoiseParameter, ...] = field(metadata=KEYED_BY_NAME)
     ramp: Value
     slow_p_value: float = field(metadata=key("slow_noise_p_value"))
@@ -176,10 +110,7 @@ class AxisNoise(JsonRecord):
 
     def __getitem__(self, name: str) -> NoiseParameter:
         """Return a noise process by its name, such as `angle_random_walk`, or kind, such as `white`."""
-        for parameter in self.parameters:
-            if name in (parameter.name, parameter.kind):
-                return parameter
-        raise KeyError(name)
+        return {key: one for one in self.parameters for key in (one.name, one.kind)}[name]
 
     @property
     def ramps(self) -> bool:
@@ -191,8 +122,7 @@ class AxisNoise(JsonRecord):
         return super().as_dict() | {"ramp": {**self.ramp.as_dict(), "present": self.ramps}}
 
 
-@dataclass(frozen=True)
-class AllanResult:
+class AllanResult(JsonRecord):
     """Noise of the gyros or accelerometers of a session at rest.
 
     Attributes
@@ -221,6 +151,11 @@ class AllanResult:
         Remarks for the user on the session.
     """
 
+    document_keys = (
+        *("part", "unit", "title", "sensor", "source", "sample_rate_hz", "filter_m", "filter_known"),
+        *("records", "duration_s", "axes", "notes"),
+    )
+
     part: Part
     unit: str
     title: str
@@ -232,8 +167,21 @@ class AllanResult:
     filter_known: bool
     positions: tuple[int, ...]
     samples: tuple[int, ...]
-    axes: tuple[AxisNoise, ...]
+    axes: tuple[AxisNoise, ...] = field(metadata=KEYED_BY_NAME)
     notes: tuple[str, ...]
+
+    @property
+    def sample_rate_hz(self) -> float:
+        """Number of samples per second."""
+        return 1 / self.period_s
+
+    @property
+    def records(self) -> list[dict[str, Any]]:
+        """Position, number of samples and duration of each record, as in the JSON document."""
+        return [
+            {"position": position, "samples": n, "duration_s": n * self.period_s}
+            for position, n in zip(self.positions, self.samples, strict=True)
+        ]
 
     @property
     def duration_s(self) -> float:
@@ -247,35 +195,12 @@ class AllanResult:
 
     def __getitem__(self, axis: str) -> AxisNoise:
         """Return the noise of the axis with this letter."""
-        for found in self.axes:
-            if found.axis == axis:
-                return found
-        raise KeyError(axis)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the JSON document that `adis-gonio allan --json` prints."""
-        return json_object(
-            part=self.part,
-            unit=self.unit,
-            title=self.title,
-            sensor=self.sensor,
-            source=self.source,
-            sample_rate_hz=1 / self.period_s,
-            filter_m=self.filter_m,
-            filter_known=self.filter_known,
-            records=[
-                {"position": position, "samples": n, "duration_s": n * self.period_s}
-                for position, n in zip(self.positions, self.samples, strict=True)
-            ],
-            duration_s=self.duration_s,
-            axes={found.axis: found for found in self.axes},
-            notes=self.notes,
-        )
+        return {found.name: found for found in self.axes}[axis]
 
     def __repr__(self) -> str:
         held = "; ".join(
-            f"{found.axis}: "
-            + ", ".join(f"{p.name} {p.profile.value:.3g} {p.unit}" for p in found.parameters if p.present)
+            f"{found.name}: "
+            + ", ".join(f"{p.name} {p.likeliest:.3g} {p.unit}" for p in found.parameters if p.present)
             for found in self.axes
         )
         return f"AllanResult({self.part}, {math.floor(self.duration_s)} s at rest; {held})"
@@ -350,9 +275,9 @@ def notes_of(
             " walk: record four times as long at rest"
         )
     for parameter in (flicker, walk):
-        if parameter.present and parameter.profile.dof < _FEW_DOF:
+        if parameter.present and parameter.dof < _FEW_DOF:
             yield (
-                f"{name_shown(parameter)} rests on {format_number(parameter.profile.dof, 2)} degrees of"
+                f"{name_shown(parameter)} rests on {format_number(parameter.dof, 2)} degrees of"
                 " freedom: a longer record makes it sure"
             )
     if axis.ramps:
@@ -361,18 +286,17 @@ def notes_of(
 
 def missing(parameter: NoiseParameter) -> str:
     """Return the text for a process that may be absent, with its upper limit."""
-    return f"not separately detected: at most {format_number(parameter.profile.high)} (95 %)"
+    return f"not separately detected: at most {format_number(parameter.high)} (95 %)"
 
 
 def cells(parameter: NoiseParameter) -> tuple[str, ...]:
     """Return the table row, with the columns `HEAD`, for a noise process that is present."""
-    found = parameter.profile
     return (
         name_shown(parameter),
-        format_number(found.value, 4),
-        format_number(found.u, 2),
-        f"{format_number(found.low)} … {format_number(found.high)}",
-        f"> {_MANY_DOF}" if found.dof > _MANY_DOF else format_number(found.dof, 2),
+        format_number(parameter.likeliest, 4),
+        format_number(parameter.u, 2),
+        f"{format_number(parameter.low)} … {format_number(parameter.high)}",
+        f"> {_MANY_DOF}" if parameter.dof > _MANY_DOF else format_number(parameter.dof, 2),
         format_unit(parameter.unit),
     )
 
@@ -380,7 +304,7 @@ def cells(parameter: NoiseParameter) -> tuple[str, ...]:
 def headline(result: AllanResult) -> str:
     """Return one line of text with the total length, the number and the sample rate of the records."""
     records = counted(len(result.samples), "record")
-    rate_hz = format_number(1 / result.period_s, 4)
+    rate_hz = format_number(result.sample_rate_hz, 4)
     held = f"{format_number(result.duration_s, 4)} s in {records} at {rate_hz} Hz"
     return f"{held}, filter M = {result.filter_m}" if result.filter_m or result.filter_known else held
 
@@ -398,50 +322,29 @@ _FAST = 100_000
 lost)."""
 
 
-@dataclass(frozen=True)
-class Rests:
-    """Equally spaced samples of three gyros or accelerometers at rest, in records without gaps.
-
-    Attributes
-    ----------
-    part : {"gyro", "accelerometer"}
-        Sensors that the samples come from.
-    unit : str
-        Unit of the samples: `dps`, `mg`, or `counts`.
-    period_s : float
-        Time between samples.
-    filter_m : int or None
-        Parameter M of the chip's filter; None if the file does not state it.
-    records : tuple of (n, axes) float
-        Samples in `unit`, with the first sample of each record subtracted.
-    positions : tuple of int
-        Number of the dwell that each record comes from.
-    step : (axes,) float
-        Step of the analogue-to-digital converter in `unit`; 0 if unknown.
-    notes : tuple of str
-        Remarks for the user.
-    """
-
-    part: Part
-    unit: str
-    period_s: float
-    filter_m: int | None
-    records: tuple[Floats, ...]
-    positions: tuple[int, ...]
-    step: Floats
-    notes: tuple[str, ...]
-
-
-def rests_of(session: Session, part: Part) -> Rests:
+def rests_of(
+    session: Session, part: Part, filter_m: int | None
+) -> tuple[AllanResult, list[Floats], Floats]:
     """Return the gap-free records of a session at rest: its dwells, or the still parts of a recording.
+
+    `filter_m` is the stated parameter M of the chip's filter; None if the user and the file state none.
+
+    Returns
+    -------
+    AllanResult
+        Facts of the session and of its records, without the noise of the axes.
+    list of (n, axes) float
+        Samples of each record in the result's unit, with the first sample of the record subtracted.
+    (axes,) float
+        Step of the analogue-to-digital converter in this unit; 0 if unknown.
 
     Raises
     ------
     UsageError
         No such part.
     DataError
-        The session has no gyros or no gap-free record of `LEAST` samples, its times do not increase, or an
-        axis never changes.
+        The session has no gyros or no gap-free record of `LEAST` samples, its times do not increase, an
+        axis never changes, or the filter of an ADIS1635x is unknown.
     """
     where = session.source or session.title or "session"
     if part not in PARTS:
@@ -479,16 +382,28 @@ def rests_of(session: Session, part: Part) -> Rests:
     samples = sum(len(record) for record in records)
     if lost > _MANY_LOST * samples:
         notes.append(f"{counted(lost, 'sample')} of {samples} are missing: high frequencies are less sure")
-    return Rests(
-        part,
-        unit,
-        period_s,
-        session.filter_m,
-        tuple((record - record[0]) * scale for record in records),
-        tuple(positions),
-        step,
-        tuple(notes),
+    if filter_m is None:
+        if session.sensor in VARIANTS:
+            raise DataError(
+                f"{where}: does not state the chip's filter: add '# filter_m: M' or give --filter M"
+            )
+        notes.append("no filter is known: fitted in the band that these noises explain")
+    result = AllanResult(
+        part=part,
+        unit=unit,
+        title=session.title,
+        sensor=session.sensor,
+        source=session.source,
+        simulated=bool(session.facts.get("simulated")),
+        period_s=period_s,
+        filter_m=filter_m or 0,
+        filter_known=filter_m is not None,
+        positions=tuple(positions),
+        samples=tuple(len(record) for record in records),
+        axes=(),
+        notes=tuple(notes),
     )
+    return result, [(record - record[0]) * scale for record in records], step
 
 
 def _records(
@@ -594,38 +509,12 @@ def fit_allan(session: Session, part: Part = "gyro", *, filter_m: int | None = N
     """
     if filter_m is not None and not 0 <= filter_m <= MOST_M:
         raise UsageError(f"filter M is {filter_m}: give 0 to {MOST_M}")
-    rests = rests_of(session, part)
-    stated = rests.filter_m if filter_m is None else filter_m
-    notes = list(rests.notes)
-    if stated is None:
-        if session.sensor in VARIANTS:
-            where = session.source or session.title or "session"
-            raise DataError(
-                f"{where}: does not state the chip's filter: add '# filter_m: M' or give --filter M"
-            )
-        notes.append("no filter is known: fitted in the band that these noises explain")
-    m = stated or 0
-    share = current().share
+    rests, records, steps = rests_of(session, part, session.filter_m if filter_m is None else filter_m)
     found = []
-    axes = rests.records[0].shape[1]
-    for axis in range(axes):
-        share(axis / axes)
-        found.append(_axis(rests, axis, m))
-    return AllanResult(
-        part=part,
-        unit=rests.unit,
-        title=session.title,
-        sensor=session.sensor,
-        source=session.source,
-        simulated=bool(session.facts.get("simulated")),
-        period_s=rests.period_s,
-        filter_m=m,
-        filter_known=stated is not None,
-        positions=rests.positions,
-        samples=tuple(len(record) for record in rests.records),
-        axes=tuple(found),
-        notes=tuple(notes),
-    )
+    for axis, step in enumerate(steps.tolist()):
+        current().share(axis / len(steps))
+        found.append(_axis(rests, "xyz"[axis], [record[:, axis] for record in records], step))
+    return replace(rests, axes=tuple(found))
 
 
 def _flat(record: Floats) -> tuple[Floats, float]:
@@ -685,9 +574,9 @@ def _widest(data: Ordinates, band: float, kinds: Sequence[Kind]) -> _Fitted:
             return max(tried, key=lambda found: found.adequacy)
 
 
-def _axis(rests: Rests, axis: int, m: int) -> AxisNoise:
-    period_s, step = rests.period_s, float(rests.step[axis])
-    columns = [record[:, axis] for record in rests.records]
+def _axis(rests: AllanResult, letter: str, columns: Sequence[Floats], step: float) -> AxisNoise:
+    """Return the noise of one axis from its records `columns` (n,); `step` is the converter's step."""
+    period_s, m = rests.period_s, rests.filter_m
     flat, slopes = zip(*map(_flat, columns), strict=True)
     rounding, coarse = _rounding(flat, step, m)
     # Above the highest fitted frequency (in cycles per sample) the filter passes too little power.
@@ -703,9 +592,9 @@ def _axis(rests: Rests, axis: int, m: int) -> AxisNoise:
     # If the chip's filter is on, quantization is not fitted.
     kinds = KINDS if m == 0 else KINDS[1:]
     fitted = _widest(together([parts[k] for k in quiet]), highest, kinds)
-    profiles = {
-        kind: profile(fitted.likelihood, fitted.theta, fitted.deviance, KINDS.index(kind)) for kind in kinds
-    }
+    estimate = partial(profile, fitted.likelihood, fitted.theta, fitted.deviance)
+    units = _UNITS[rests.unit]
+    parameters = tuple(estimate(k, _NAMES[rests.part][k], units[k]) for k in map(KINDS.index, kinds))
     slow = _slow(fitted)
     ramp = _ramp(fitted, [slopes[k] for k in quiet], period_s, rests.unit)
     # Of the sinusoids that records show at one frequency (within 1 %), the strongest represents the others.
@@ -714,15 +603,15 @@ def _axis(rests: Rests, axis: int, m: int) -> AxisNoise:
         if all(abs(line.frequency_hz / other.frequency_hz - 1) > 0.01 for other in strongest):
             strongest.append(line)
     found = AxisNoise(
-        axis="xyz"[axis],
-        parameters=parameters(rests.part, rests.unit, profiles),
+        name=letter,
+        parameters=parameters,
         ramp=ramp,
         slow_p_value=slow,
         adequacy=fitted.adequacy,
         band_hz=(1 / (2 * period_s * max(map(len, columns))), fitted.band / period_s),
         lines=tuple(sorted(strongest, key=lambda one: one.frequency_hz)),
         step=step,
-        curve=curve([columns[k] for k in quiet], _drawn(fitted, profiles), m, period_s, rounding),
+        curve=curve([columns[k] for k in quiet], _drawn(fitted, parameters), m, period_s, rounding),
         notes=(),
     )
     notes = notes_of(
@@ -800,15 +689,15 @@ def _quiet(parts: Sequence[Ordinates], highest: float) -> list[int]:
     return sorted(kept)
 
 
-def _drawn(fitted: _Fitted, profiles: dict[Kind, Profile]) -> Floats:
+def _drawn(fitted: _Fitted, parameters: Sequence[NoiseParameter]) -> Floats:
     """Return the squared coefficients (4,) of the noise processes with which the Allan curve is predicted.
 
     They are zero for processes that may be absent. If the data show slow noise but cannot tell flicker
     noise from random walk, both keep their coefficients.
     """
-    lacking = [kind for kind, found in profiles.items() if not found.present and kind != "white"]
-    if {"flicker", "walk"} <= {*lacking} and _slow(fitted) < SLOW_NOISE:
-        lacking = [kind for kind in lacking if kind not in ("flicker", "walk")]
+    lacking = {one.kind for one in parameters if not one.present and one.kind != "white"}
+    if lacking >= {"flicker", "walk"} and _slow(fitted) < SLOW_NOISE:
+        lacking -= {"flicker", "walk"}
     absent = {KINDS.index(kind): 0.0 for kind in lacking}
     return fitted.likelihood.maximum(fitted.theta, absent)[0]
 
@@ -830,11 +719,9 @@ def _ramp(fitted: _Fitted, slopes: list[float], period_s: float, unit: str) -> V
     It is the weighted mean of the slopes of all records. `slopes` are the slopes per sample of straight
     lines through the records, and `period_s` is the time between samples.
     """
-    rest = fitted.likelihood.slopes(fitted.theta)
-    # Weighted mean of the slopes, each corrected by the slope of the likelihood.
-    weight = np.array([1 / u**2 if u > 0 else 0.0 for _, u in rest])
+    rest, weight = fitted.likelihood.slopes(fitted.theta)
     if not weight.sum() > 0:
         return Value(float(np.mean(slopes)) / period_s, None, f"{unit}/s")
-    total = np.array(slopes) + np.array([left for left, _ in rest])
-    mean = float(np.average(total, weights=weight))
+    # Weighted mean of the slopes, each corrected by the slope of the likelihood.
+    mean = float(np.average(slopes + rest, weights=weight))
     return Value(mean / period_s, 1 / math.sqrt(weight.sum()) / period_s, f"{unit}/s", factor=NORMAL_95)

@@ -40,7 +40,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any, Literal, get_args
 
@@ -50,7 +50,7 @@ from scipy import fft, optimize, special
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.base.uncertainty import LINE_IN_NOISE, NORMAL_95, SLOW_NOISE
+from adis_gonio.base.uncertainty import LINE_IN_NOISE, NORMAL_95, SLOW_NOISE, Value, finite_or_none
 from adis_gonio.device.sensor.settings import filter_response, filter_weights
 
 Kind = Literal["quantization", "white", "flicker", "walk"]
@@ -457,10 +457,11 @@ class Ordinates:
         coefficient of 1.
     rounding : (b,) float
         Mean variance of the ordinates from the converter's rounding.
-    lines : tuple of (first, ordinate, line)
-        For each record, as input of a fit of a straight line: the index of its first bin; the (s,) lowest
-        DCT-II ordinates of the record, which have a bin each; and the (s,) ordinates of a straight line
-        with a slope of 1 per sample.
+    record : (b,) int
+        Number of the record that the bin belongs to.
+    single, line : (b,) float
+        For a fit of a straight line to each record: the ordinate of a bin that has only one, and this
+        ordinate of a straight line with a slope of 1 per sample. `line` is 0 in all other bins.
     """
 
     frequency: Floats
@@ -468,26 +469,14 @@ class Ordinates:
     power: Floats
     shapes: Floats
     rounding: Floats
-    lines: tuple[tuple[int, Floats, Floats], ...]
-
-    @property
-    def columns(self) -> dict[str, Any]:
-        """All attributes that have one row for each frequency bin, by name."""
-        return {name: value for name, value in vars(self).items() if name != "lines"}
+    record: NDArray[np.intp]
+    single: Floats
+    line: Floats
 
     def below(self, frequency: float) -> Ordinates:
-        """Return a copy without the bins above a frequency, in cycles per sample.
-
-        In `lines`, too, only ordinates up to this frequency remain.
-        """
-        chosen = self.frequency <= frequency
-        place = np.cumsum(chosen) - 1
-        lines = []
-        for first, ordinate, slope in self.lines:
-            kept = int(chosen[first : first + len(ordinate)].sum())
-            lines.append((int(place[first]), ordinate[:kept], slope[:kept]))
-        columns = {name: column[chosen] for name, column in self.columns.items()}
-        return Ordinates(lines=tuple(lines), **columns)
+        """Return a copy in which the bins above a frequency, in cycles per sample, count as empty."""
+        kept = self.frequency <= frequency
+        return replace(self, weight=self.weight * kept, line=self.line * kept)
 
 
 def ordinates(
@@ -519,22 +508,19 @@ def ordinates(
     weight = np.add.reduceat(kept.astype(np.float64), starts - 1)
     power = np.add.reduceat(square, starts - 1) / np.maximum(weight, 1.0)
     rounded = _rounded(rounding.tobytes(), n, filter_m, period_s)
+    single, slope = np.zeros((2, len(starts)))
     singles = min(SINGLES, n - 1)
-    number = np.arange(1, singles + 1)
-    slope = np.where(kept[:singles], line(n, number.astype(np.float64)), 0.0)
-    return Ordinates(
-        grid.highest, weight, power, grid.shapes, rounded, ((0, lines[:singles].copy(), slope),)
-    )
+    single[:singles] = lines[:singles]
+    slope[:singles] = kept[:singles] * line(n, np.arange(1.0, singles + 1))
+    number = np.zeros(len(starts), dtype=np.intp)
+    return Ordinates(grid.highest, weight, power, grid.shapes, rounded, number, single, slope)
 
 
 def together(parts: list[Ordinates]) -> Ordinates:
     """Combine the spectra of several records of an axis."""
-    lines, at = [], 0
-    for part in parts:
-        lines += [(first + at, ordinate, slope) for first, ordinate, slope in part.lines]
-        at += len(part.weight)
-    columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns}
-    return Ordinates(lines=tuple(lines), **columns)
+    columns = {name: np.concatenate([vars(part)[name] for part in parts]) for name in vars(parts[0])}
+    number = np.repeat(np.arange(len(parts)), [len(part.record) for part in parts])
+    return Ordinates(**columns | {"record": number})
 
 
 @dataclass(frozen=True)
@@ -608,22 +594,30 @@ _SMALLEST_GAIN = 1e-10
 
 
 @dataclass(frozen=True)
-class Profile:
-    """Estimate of one noise coefficient (not squared) by its profile likelihood.
+class NoiseParameter:
+    """One noise process of one axis, with its coefficient (not squared) by the profile likelihood.
 
     Attributes
     ----------
-    value : float
+    kind : {"quantization", "white", "flicker", "walk"}
+        Kind of the noise process; `white` is angle or velocity random walk, `flicker` bias instability.
+    name, unit : str
+        Name, such as `angle_random_walk`, and unit of the coefficient. `bias_instability` is the floor of
+        the Allan deviation.
+    likeliest : float
         Coefficient at the maximum of the likelihood.
     u : float
-        Standard uncertainty by the Fisher information; NaN if the value is zero.
+        Standard uncertainty by the Fisher information; NaN if the coefficient is zero.
     low, high : float
-        Profile-likelihood interval of 95 %; `low` is 0 if the coefficient may be absent.
+        Profile-likelihood interval of 95 %; `low` is 0 if the process may be absent.
     p_value : float
         Probability of data that favour the noise process at least as much, if it is absent.
     """
 
-    value: float
+    kind: Kind
+    name: str
+    unit: str
+    likeliest: float
     u: float
     low: float
     high: float
@@ -636,11 +630,37 @@ class Profile:
 
     @property
     def dof(self) -> float:
-        """Degrees of freedom of a standard deviation with the relative uncertainty u/value.
+        """Degrees of freedom of a standard deviation with the relative uncertainty of the coefficient.
 
         NaN if u is NaN.
         """
-        return self.value**2 / (2 * self.u**2) if self.u > 0 else math.nan
+        return self.likeliest**2 / (2 * self.u**2) if self.u > 0 else math.nan
+
+    @property
+    def value(self) -> Value | None:
+        """Coefficient of the process with its uncertainty; None if the process may be absent.
+
+        The expanded uncertainty U is the longer side of the 95 % interval, and the coverage factor k is
+        U/u.
+        """
+        if not self.present:
+            return None
+        arm = max(self.high - self.likeliest, self.likeliest - self.low)
+        return Value(self.likeliest, self.u, self.unit, self.dof, factor=arm / self.u)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the JSON object of a noise process: its value with uncertainty, interval and upper limit.
+
+        The value, u, its degrees of freedom ν, k and U are null if the process may be absent.
+        """
+        empty = {**dict.fromkeys(("value", "u", "dof", "k", "U")), "unit": self.unit}
+        return {
+            "present": self.present,
+            **(empty if self.value is None else self.value.as_dict()),
+            "interval_95": [self.low, finite_or_none(self.high)],
+            "upper_95": finite_or_none(self.high),
+            "p_value": self.p_value,
+        }
 
 
 class Likelihood:
@@ -672,13 +692,11 @@ class Likelihood:
         # Scales: each process alone would make up the whole power.
         self.scale = typical / np.average(data.shapes, axis=0, weights=data.weight)
         # The single ordinates of all records, one after another: their bins and their records.
-        size = np.array([len(c) for _, c, _ in data.lines])
-        self._singles = self._owner[np.concatenate([np.arange(f, f + len(c)) for f, c, _ in data.lines])]
-        self._has_line = size > 0
-        self._starts = (np.cumsum(size) - size)[self._has_line]
-        self._record = np.repeat(np.arange(len(self._starts)), size[self._has_line])
-        self._c = np.concatenate([c for _, c, _ in data.lines])
-        self._d = np.concatenate([d for _, _, d in data.lines])
+        single = np.flatnonzero(data.line)
+        self._c, self._d, self._singles = data.single[single], data.line[single], self._owner[single]
+        self._lined, self._starts, self._record = np.unique(
+            data.record[single], return_index=True, return_inverse=True
+        )
 
     def expected(self, theta: Floats) -> Floats:
         """Return the expected variance (k,) of the ordinates in each of k kinds of frequency bins.
@@ -694,11 +712,10 @@ class Likelihood:
         The slope of the fitted line is b/a with a = Σ d²/v and b = Σ c d/v. Here c are the lowest ordinates
         of a record, d the ordinates of a line of slope 1 and v the expected variances of their bins. The
         results are the terms (s,) of a and of b for the ordinates of all records, then a (r,) and b (r,).
-        Records without a line have an infinite a.
         """
         square, product = self._d**2 / v[self._singles], self._c * self._d / v[self._singles]
         a, b = np.add.reduceat(square, self._starts), np.add.reduceat(product, self._starts)
-        return square, product, np.where(a > 0, a, np.inf), b
+        return square, product, a, b
 
     def derivatives(self, theta: Floats) -> tuple[float, Floats, Floats]:
         """Return the deviance of the squared coefficients θ, its gradient, and their Fisher information.
@@ -717,8 +734,8 @@ class Likelihood:
         db = -np.add.reduceat(product[:, None] * shape, self._starts, axis=0)
         slope += da.sum(axis=0) - 2 * (b / a) @ db + (b**2 / a) @ da
         information += da.T @ da - 2 * shape.T @ ((square / a[self._record])[:, None] * shape)
-        lines = np.where(np.isfinite(a), np.log(a) - b**2 / a, 0.0)
-        return float(self._weight @ (np.log(v) + ratio) + lines.sum()), slope, information / 2
+        lines = float((np.log(a) - b**2 / a).sum())
+        return float(self._weight @ (np.log(v) + ratio)) + lines, slope, information / 2
 
     def maximum(self, start: Floats, fixed: dict[int, float] | None = None) -> tuple[Floats, float]:
         """Return the θ (4,) ≥ 0 of the largest likelihood and its deviance.
@@ -774,15 +791,15 @@ class Likelihood:
         inverse = np.linalg.pinv(information * np.outer(scale, scale), rcond=1e-13)
         return float(scale[index] * math.sqrt(max(inverse[index, index], 0.0)))
 
-    def slopes(self, theta: Floats) -> list[tuple[float, float]]:
-        """Return slope and standard uncertainty, per sample, of the straight line fitted to each record.
+    def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Return the slopes (r,) per sample of the straight lines fitted to r records, and their 1/u² (r,).
 
-        The uncertainty is inf for a record without a line.
+        Both are 0 for a record without a line.
         """
         _, _, a, b = self._lines(self.expected(theta))
-        slope, u = np.zeros(len(self._has_line)), np.full(len(self._has_line), np.inf)
-        slope[self._has_line], u[self._has_line] = b / a, np.where(np.isfinite(a), 1 / np.sqrt(a), np.inf)
-        return list(zip(slope.tolist(), u.tolist(), strict=True))
+        slope, precision = np.zeros((2, int(self._data.record.max()) + 1))
+        slope[self._lined], precision[self._lined] = b / a, a
+        return slope, precision
 
     def adequacy(self, theta: Floats) -> float:
         """Return the p-value of the spectrum under the model θ: small if θ does not explain the spectrum.
@@ -809,11 +826,13 @@ class Likelihood:
         return float(special.chdtrc(dof, distance)) if dof > 0 else 1.0
 
 
-def profile(likelihood: Likelihood, theta: Floats, least: float, index: int) -> Profile:
-    """Estimate one coefficient with its interval, by the likelihood maximized over the others.
+def profile(
+    likelihood: Likelihood, theta: Floats, least: float, index: int, name: str, unit: str
+) -> NoiseParameter:
+    """Estimate the coefficient of one noise process, by the likelihood maximized over the others.
 
     `theta` is the maximum of the likelihood over all squared coefficients, and `least` its deviance;
-    `index` is the coefficient's index.
+    `index` is the index of the process in `KINDS`, `name` and `unit` those of its coefficient.
     """
     ratio = max(likelihood.maximum(theta, {index: 0.0})[1] - least, 0.0)
     p_value = 0.5 * float(special.chdtrc(1, ratio)) if theta[index] > 0 else 1.0
@@ -847,4 +866,4 @@ def profile(likelihood: Likelihood, theta: Floats, least: float, index: int) -> 
         low = next((half for half in halves if beyond(half) > 0), 0.0)
     if low:
         low = float(root(low, 2 * low))
-    return Profile(sigma, u, math.sqrt(low), math.sqrt(high), p_value)
+    return NoiseParameter(KINDS[index], name, unit, sigma, u, math.sqrt(low), math.sqrt(high), p_value)
