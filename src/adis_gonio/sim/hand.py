@@ -308,8 +308,8 @@ class HandMove(_Hand):
         if self._stray_rad:
             stray, straying = self._while_held(self._sway, time_s)
             axis = self._stray_axis
-            direction = _turned_back(direction, axis, self._stray_rad * stray)
-            rate = _turned_back(rate, axis, self._stray_rad * stray)
+            direction = turned_back(direction, axis, self._stray_rad * stray)
+            rate = turned_back(rate, axis, self._stray_rad * stray)
             rate = rate + self._stray_rad * straying[:, None] * axis
         if self.twist_rad:
             _, twisting = minimum_jerk(time_s, 0.0, self.length_s, self.twist_rad)
@@ -322,7 +322,7 @@ def _add(course: Course, more: Course, size: float = 1.0) -> None:
         whole += size * part
 
 
-def _turned_back(vector: Floats, axis: Floats, angle: Floats) -> Floats:
+def turned_back(vector: Floats, axis: Floats, angle: Floats) -> Floats:
     """Return vectors that are fixed in space, as seen by a sensor that has turned.
 
     `vector` (n, 3) has their components in the sensor's frame before the turn. `angle` (n,) is the angle in

@@ -14,13 +14,13 @@ the direction of gravity in the sensor does not change.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_radians
 from adis_gonio.base.errors import UsageError
-from adis_gonio.sim.hand import Course, HandMove, HandTurn
+from adis_gonio.sim.hand import Course, HandMove, HandTurn, turned_back
 from adis_gonio.sim.settings import WorldSettings
 
 _SHORTEST_MOVE_S = 0.3
@@ -65,56 +65,50 @@ class Motion:
     time_in_dwell_s: Floats
 
 
-def _zeros() -> Floats:
-    return np.zeros(3)
+_UPRIGHT = np.array([0.0, 0.0, 1.0])
+"""Axis (3,) of the stage in the sensor, about which it turns in the plane."""
 
 
 @dataclass(frozen=True)
 class _Leg:
-    """A move of the stage with the rest after it: in the plane by angles, in space by a turn about an axis.
+    """A move of the stage with the rest after it: a turn of the sensor about an axis.
 
-    Times are in s and angles in rad. `from_rad` and `to_rad` are the declared angles before and after the
-    move, `from_error_rad` and `to_error_rad` the errors of these angles, and `previous_rad` is the declared
-    angle of the previous dwell. `order` is the number of the move, and `approach` the direction of its end.
+    Times are in s and angles in rad. `begin` (3,) is the direction of gravity in the sensor before the turn
+    by `turn_rad` about `axis` (3,). `from_rad` and `to_rad` are the declared angles before and after the
+    move, NaN in space; `error_rad` is the error of the angle after it. `order` is the number of the move,
+    `approach` the direction of its end, and `previous_rad` the declared angle of the previous dwell.
 
-    `spatial` is True for a move in space. While it turns the sensor by φ about `axis`, the direction of
-    gravity in the sensor's frame is `along` + cos φ `base` + sin φ `side`; `turn_rad` is φ at the end.
-
-    `hand` is a free turn by hand, and `by_hand` a move by hand between two positions; None for any other
-    move.
+    `hand` is a free turn by hand, or a move by hand between two positions; None for a move by a motor.
     """
 
     start_s: float
     end_s: float
+    begin: Floats
+    axis: Floats
+    turn_rad: float
     from_rad: float
     to_rad: float
-    from_error_rad: float
-    to_error_rad: float
+    error_rad: float
     order: int
     approach: int
     previous_rad: float
-    spatial: bool = False
-    turn_rad: float = 0.0
-    base: Floats = field(default_factory=_zeros)
-    side: Floats = field(default_factory=_zeros)
-    along: Floats = field(default_factory=_zeros)
-    axis: Floats = field(default_factory=_zeros)
-    hand: HandTurn | None = None
-    by_hand: HandMove | None = None
+    hand: HandTurn | HandMove | None = None
 
     @property
     def knots(self) -> int:
         """Number of points at which `Stage.course` tabulates this move."""
-        halves = int(np.ceil(abs(self.turn_rad) / np.pi))
+        halves = max(round(abs(self.turn_rad) / np.pi), 1)
         # The speed of a move by hand is not even, so that it needs more points.
-        return _KNOTS * max(halves, 1) * (1 if self.by_hand is None else 8)
+        return _KNOTS * halves * (8 if isinstance(self.hand, HandMove) else 1)
+
+    def direction(self, turned_rad: Floats) -> Floats:
+        """Return the directions (n, 3) of gravity in the sensor after turns (n,) in rad of this move."""
+        return turned_back(self.begin[None], self.axis, turned_rad)
 
     @property
     def target(self) -> Floats:
-        """Direction (3,) of gravity along the sensor's axes at the end of a turn in space."""
-        return np.asarray(
-            self.along + np.cos(self.turn_rad) * self.base + np.sin(self.turn_rad) * self.side
-        )
+        """Direction (3,) of gravity in the sensor at the end of the turn."""
+        return np.asarray(self.direction(np.array([self.turn_rad]))[0])
 
 
 class Stage:
@@ -147,17 +141,17 @@ class Stage:
         self._alpha = alpha_rad
         self._rng = rng
         self._moves = 0
-        error = self._error(0)
-        self._legs = [_Leg(-np.inf, -np.inf, 0.0, 0.0, error, error, 0, 0, 0.0)]
-        self._starts = np.array([-np.inf])
+        error, never = self._error(0), -np.inf
+        begin = self._direction(alpha_rad + error)
+        self._legs = [_Leg(never, never, begin, _UPRIGHT, 0.0, 0.0, 0.0, error, 0, 0, 0.0)]
+        self._starts = np.array([never])
         self._mark_error = 0.0
         self._course: tuple[Floats, Floats] | None = None
 
     @property
     def angle_deg(self) -> float:
         """Declared angle in degrees to which the last move went; NaN after a move in space."""
-        leg = self._legs[-1]
-        return float("nan") if leg.spatial else float(np.degrees(leg.to_rad))
+        return float(np.degrees(self._legs[-1].to_rad))
 
     @property
     def error_deg(self) -> float:
@@ -165,14 +159,14 @@ class Stage:
 
         A fit does not know this error.
         """
-        return float(np.degrees(self._legs[-1].to_error_rad))
+        return float(np.degrees(self._legs[-1].error_rad))
 
     @property
     def free_start_deg(self) -> float | None:
         """Angle of the sensor at rest before the last free turn, in degrees; None without a free turn."""
         for leg in reversed(self._legs):
-            if leg.hand is not None:
-                return float(np.degrees(wrap_radians(self._alpha - leg.from_rad + leg.from_error_rad)))
+            if isinstance(leg.hand, HandTurn):
+                return float(np.degrees(wrap_radians(self._alpha - leg.from_rad + leg.error_rad)))
         return None
 
     @property
@@ -201,22 +195,19 @@ class Stage:
         if not np.isfinite(angle_deg) or approach not in (-1, 0, 1):
             raise UsageError(f"move to {angle_deg}° with approach {approach}: give an angle and -1, 0 or 1")
         self._count_move(start_s)
-        last = self._legs[-1]
-        target = float(np.radians(angle_deg))
-        previous = target if self._moves == 1 else last.to_rad
-        if last.spatial:
+        last, target = self._legs[-1], float(np.radians(angle_deg))
+        if self._moves == 1:
+            self._previous_rad = target
+        if np.isnan(last.to_rad):
             error = self._error(approach)
             vector = self._direction(self._alpha - target + error)
-            end = self._turn(start_s, vector, target, error, approach)
-            rest = _Leg(end, end, target, target, error, error, self._order, approach, previous)
-            return self._append(rest)
-        difference = target - last.to_rad
-        natural = int(np.sign(difference))
+            return self._turn_towards(start_s, vector, target, error, approach)
+        natural = int(np.sign(target - last.to_rad))
         if approach and natural != approach:
             past = target - approach * float(np.radians(self._settings.overshoot_deg))
-            start_s = self._swing(start_s, past, last.to_error_rad, approach, previous)
+            start_s = self._swing(start_s, past, last.error_rad, approach)
         approach = approach or natural
-        return self._swing(start_s, target, self._error(approach), approach, previous)
+        return self._swing(start_s, target, self._error(approach), approach)
 
     def orient(self, start_s: float, vector: Floats) -> float:
         """Begin a turn in space to a direction of gravity; return the time in s at which it ends.
@@ -241,7 +232,7 @@ class Stage:
         sigma = np.radians(self._settings.fixture_sigma_deg)
         # Tilt the wanted direction by a random small rotation.
         tilted = wanted / norm + np.cross(sigma * self._rng.standard_normal(3), wanted / norm)
-        return self._turn(start_s, tilted / np.linalg.norm(tilted), float("nan"), 0.0, 0)
+        return self._turn_towards(start_s, tilted / np.linalg.norm(tilted), float("nan"), 0.0, 0)
 
     def turn_freely(self, start_s: float, turns: int = 1) -> float:
         """Begin turns by hand without declared angles; return the time in s at which they end.
@@ -259,7 +250,7 @@ class Stage:
             The last move still runs, or the sensor is not at an angle of the stage.
         """
         last = self._legs[-1]
-        if last.spatial:
+        if np.isnan(last.to_rad):
             raise UsageError(
                 "the part is at an attitude in space: turn it to an angle of the stage before a free turn"
             )
@@ -267,10 +258,7 @@ class Stage:
         hand = HandTurn(self._settings, self._hands, turns)
         to_rad = last.to_rad + hand.total_rad
         approach = 1 if to_rad >= last.to_rad else -1
-        span, errors = (last.to_rad, to_rad), (last.to_error_rad, last.to_error_rad)
-        end_s = start_s + hand.length_s
-        leg = _Leg(start_s, end_s, *span, *errors, self._order, approach, last.to_rad, hand=hand)
-        return self._append(leg)
+        return self._turn(start_s, _UPRIGHT, hand.total_rad, to_rad, last.error_rad, approach, hand)
 
     def turn_about(self, start_s: float, angle_deg: float, axis: Floats | None = None) -> float:
         """Begin to turn the sensor about an axis through it; return the time in s at which the turn ends.
@@ -295,25 +283,18 @@ class Stage:
             The angle is not finite, the axis is not three numbers that are a direction, or the last move
             still runs.
         """
-        standing = self._standing
-        about = -standing if axis is None else np.asarray(axis, np.float64)
+        about = -self._legs[-1].target if axis is None else np.asarray(axis, np.float64)
         norm = float(np.linalg.norm(about))
         if not np.isfinite(angle_deg) or about.shape != (3,) or not np.isfinite(norm) or norm == 0:
             raise UsageError(
                 f"turn by {angle_deg}° about {axis}: give an angle and three numbers of an axis"
             )
         self._count_move(start_s)
-        about = about / norm
         drawn = self._settings.mark_sigma_deg * float(self._movements.standard_normal())
         before, self._mark_error = self._mark_error, float(np.radians(drawn))
         turn = float(np.radians(angle_deg)) + self._mark_error - before
-        # Split gravity into the part along the axis and the part that turns about it.
-        along = (standing @ about) * about
-        leg = _Leg(
-            start_s, start_s, float("nan"), float("nan"), 0.0, 0.0, self._order, int(np.sign(turn)),
-            self._legs[-1].to_rad, True, turn, standing - along, -np.cross(about, standing), along, about,
-        )  # fmt: skip
-        return self._in_space(leg, self._hand_over(turn))
+        approach, hand = int(np.sign(turn)), self._hand_over(turn)
+        return self._turn(start_s, about / norm, turn, float("nan"), 0.0, approach, hand)
 
     def at(self, time_s: Floats) -> Motion:
         """Return direction of gravity, rate and conditions of the sensor at increasing times (n,) in s."""
@@ -347,6 +328,7 @@ class Stage:
         if start_s < self.still_at_s:
             raise UsageError(f"the stage moves until {self.still_at_s} s; wait for it")
         self._moves += 1
+        self._previous_rad = self._legs[-1].to_rad
 
     def _error(self, approach: int) -> float:
         drawn = self._settings.fixture_sigma_deg * float(self._rng.standard_normal())
@@ -373,98 +355,78 @@ class Stage:
             return None
         return HandMove(self._settings, self._movements, span_rad, one_way=one_way, free=free)
 
-    def _duration(self, angle_rad: float, by_hand: HandMove | None) -> float:
-        if by_hand is not None:
-            return by_hand.length_s
-        return max(_SHORTEST_MOVE_S, abs(float(np.degrees(angle_rad))) / self._settings.move_speed_dps)
-
-    @property
-    def _order(self) -> int:
-        return max(self._moves - 1, 0)
-
-    def _swing(self, start_s: float, target: float, error: float, approach: int, previous: float) -> float:
+    def _swing(self, start_s: float, target: float, error: float, approach: int) -> float:
+        """Append a move in the plane to the declared angle `target` in rad; return the time of its end."""
         last = self._legs[-1]
-        by_hand = self._hand_over(target - last.to_rad, one_way=bool(approach))
-        end_s = start_s + self._duration(target - last.to_rad, by_hand)
-        span, errors = (last.to_rad, target), (last.to_error_rad, error)
-        leg = _Leg(start_s, end_s, *span, *errors, self._order, approach, previous, by_hand=by_hand)
-        return self._append(leg)
+        span = target - last.to_rad
+        hand = self._hand_over(span, one_way=bool(approach))
+        # The error changes from its old to its new value during the move.
+        turn = span - (error - last.error_rad)
+        return self._turn(start_s, _UPRIGHT, turn, target, error, approach, hand)
 
-    def _turn(self, start_s: float, to: Floats, theta: float, error: float, approach: int) -> float:
-        base = self._standing
-        # Turn in the plane of the present and the wanted direction.
-        cosine = float(np.clip(base @ to, -1.0, 1.0))
-        side = to - cosine * base
-        if np.linalg.norm(side) < 1e-9:
-            side = np.cross(base, np.eye(3)[int(np.argmin(np.abs(base)))])
-        side = side / np.linalg.norm(side)
-        turn = float(np.arctan2(to @ side, cosine))
+    def _turn_towards(self, start_s: float, to: Floats, theta: float, error: float, approach: int) -> float:
+        """Append the shortest turn to the direction `to` (3,); return the time in s at which it ends."""
+        base = self._legs[-1].target
+        axis = np.cross(to, base)
+        size = float(np.linalg.norm(axis))
+        turn = float(np.arctan2(size, base @ to))
+        if size < 1e-9:
+            # Equal or opposite directions have no plane: any axis at right angles to them will do.
+            axis = np.cross(np.cross(base, np.eye(3)[int(np.argmin(np.abs(base)))]), base)
         self._mark_error = 0.0
-        leg = _Leg(
-            start_s, start_s, theta, theta, error, error, self._order, approach, self._legs[-1].to_rad,
-            True, turn, base, side, axis=-np.cross(base, side),
-        )  # fmt: skip
-        return self._in_space(leg, self._hand_over(turn, free=True))
+        hand = self._hand_over(turn, free=True)
+        return self._turn(start_s, axis / np.linalg.norm(axis), turn, theta, error, approach, hand)
 
-    def _in_space(self, leg: _Leg, by_hand: HandMove | None) -> float:
-        """Append a turn in space to the trajectory; return the time in s at which it ends.
+    def _turn(
+        self,
+        start_s: float,
+        axis: Floats,
+        turn_rad: float,
+        to_rad: float,
+        error_rad: float,
+        approach: int,
+        hand: HandTurn | HandMove | None,
+    ) -> float:
+        """Append a turn to the trajectory; return the time in s at which it ends.
 
-        `leg` is the turn, in which the end time is missing. `by_hand` is the movement by hand, None for a
-        motor.
+        `_Leg` explains the parameters.
         """
-        end_s = leg.start_s + self._duration(leg.turn_rad, by_hand)
-        return self._append(replace(leg, end_s=end_s, by_hand=by_hand))
-
-    @property
-    def _standing(self) -> Floats:
-        """Direction (3,) of gravity along the sensor's axes after the last move."""
         last = self._legs[-1]
-        if last.spatial:
-            return last.target
-        return self._direction(self._alpha - last.to_rad + last.to_error_rad)
-
-    def _append(self, leg: _Leg) -> float:
-        self._legs.append(leg)
-        self._starts = np.append(self._starts, leg.start_s)
+        from_rad = to_rad if np.isnan(last.to_rad) else last.to_rad
+        # The time of a motor follows from the declared angle, in space from the turn.
+        span_rad = to_rad - last.to_rad
+        span_deg = abs(float(np.degrees(turn_rad if np.isnan(span_rad) else span_rad)))
+        length_s = max(_SHORTEST_MOVE_S, span_deg / self._settings.move_speed_dps)
+        end_s = start_s + (length_s if hand is None else hand.length_s)
+        where = (last.target, axis, turn_rad, from_rad, to_rad, error_rad)
+        order = max(self._moves - 1, 0)
+        self._legs.append(_Leg(start_s, end_s, *where, order, approach, self._previous_rad, hand))
+        self._starts = np.append(self._starts, start_s)
         self._course = None
-        return leg.end_s
+        return end_s
 
     # -- following legs ---------------------------------------------------------------------------
 
     def _along(self, leg: _Leg, time_s: Floats) -> Motion:
-        n = len(time_s)
-        since = time_s - leg.end_s
-        if leg.hand is not None:
+        if isinstance(leg.hand, HandTurn):
             return self._by_hand(leg, leg.hand, time_s)
-        blend, speed = _course(leg, time_s)
-        rate = np.zeros((n, 3))
-        if leg.spatial:
-            turn = leg.turn_rad * blend
-            direction = np.cos(turn)[:, None] * leg.base + np.sin(turn)[:, None] * leg.side
-            direction += leg.along
-            rate += np.degrees(leg.turn_rad * speed)[:, None] * leg.axis
-            if leg.by_hand is not None:
-                since_start = time_s - leg.start_s
-                direction, turning = leg.by_hand.add_stray(since_start, direction, np.radians(rate))
-                rate = np.degrees(turning)
-            theta = np.full(n, leg.to_rad)
-        else:
-            span, slip = leg.to_rad - leg.from_rad, leg.to_error_rad - leg.from_error_rad
-            theta = leg.from_rad + span * blend
-            # The error changes from its old to its new value during the move.
-            psi = self._alpha - theta + leg.from_error_rad + slip * blend
-            direction = self._direction(psi)
-            rate[:, 2] = np.degrees((span - slip) * speed)
-        hand = leg.by_hand
-        shaking = np.zeros((n, 3)) if hand is None else hand.shaking_mg(time_s - leg.start_s)
-        return _motion(leg, time_s, direction, rate, shaking, self._ringing(since), theta)
+        since_start = time_s - leg.start_s
+        done, speed = _course(leg, time_s)
+        direction, rate = leg.direction(leg.turn_rad * done), (leg.turn_rad * speed)[:, None] * leg.axis
+        shaking = np.zeros(direction.shape)
+        if leg.hand is not None:
+            direction, rate = leg.hand.add_stray(since_start, direction, rate)
+            shaking = leg.hand.shaking_mg(since_start)
+        theta = leg.from_rad + (leg.to_rad - leg.from_rad) * done
+        ringing = self._ringing(time_s - leg.end_s)
+        return _motion(leg, time_s, direction, np.degrees(rate), shaking, ringing, theta)
 
     def _by_hand(self, leg: _Leg, hand: HandTurn, time_s: Floats) -> Motion:
         since = time_s - leg.start_s
         turned = hand.turned(since)
         wobble, wobbling = hand.tilt(since, turned)
         theta = leg.from_rad + turned[0]
-        psi = self._alpha - theta + leg.from_error_rad
+        psi = self._alpha - theta + leg.error_rad
         direction = self._direction(psi, wobble)
         # Rates for which gravity in the part follows the direction: d' = -rate x d.
         rate = np.stack([-wobbling * np.sin(psi), wobbling * np.cos(psi), turned[1]], axis=1)
@@ -507,9 +469,9 @@ def _course(leg: _Leg, time_s: Floats) -> Course:
     moving = time_s - leg.end_s < 0
     if not moving.any():
         return np.ones(n), np.zeros(n)
-    if leg.by_hand is not None:
-        turned = leg.by_hand.turned(time_s - leg.start_s)
-        done, speed = (value / leg.by_hand.span_rad for value in turned)
+    if isinstance(leg.hand, HandMove):
+        turned = leg.hand.turned(time_s - leg.start_s)
+        done, speed = (value / leg.hand.span_rad for value in turned)
     else:
         duration = leg.end_s - leg.start_s
         part = np.pi * (time_s - leg.start_s) / duration
