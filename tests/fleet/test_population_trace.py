@@ -8,7 +8,7 @@ from scipy.integrate import dblquad, quad
 from scipy.special import logsumexp
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.fleet.population_likelihood import Block, grid_of, inflations, log_factor
+from adis_gonio.fleet.population_likelihood import grid_of, inflations, log_factors
 from adis_gonio.fleet.population_trace import PopulationResult, trace_population
 from fleet.units import drawn, estimate, evidence_with
 from tracing.named_truth import catalogued_term
@@ -29,8 +29,8 @@ def test_the_factor_of_a_unit_is_the_integral_over_its_amplitude() -> None:
         return float(np.exp(-0.5 * ((a - m) / spread) ** 2) / (spread * np.sqrt(2 * np.pi)))
 
     direct = quad(lambda a: np.exp(s * a - 0.5 * g * a * a) * density(a, mean), -12, 12)[0]
-    block = Block(np.array([[s]]), np.array([[[g]]]))
-    assert log_factor(block, np.array([mean]), spread)[0] == pytest.approx(np.log(direct), abs=1e-7)
+    factors = log_factors(np.array([[s]]), np.array([[[g]]]), np.array([[mean]]), spread)
+    assert factors[0, 0] == pytest.approx(np.log(direct), abs=1e-7)
 
     score, info, centre = np.array([0.8, -1.2]), np.array([[1.5, 0.9], [0.9, 1.2]]), np.array([0.3, -0.4])
 
@@ -39,18 +39,19 @@ def test_the_factor_of_a_unit_is_the_integral_over_its_amplitude() -> None:
         return float(np.exp(score @ x - 0.5 * x @ info @ x)) * density(a, centre[0]) * density(b, centre[1])
 
     direct = dblquad(both, -6, 6, -6, 6, epsabs=1e-8)[0]
-    own = log_factor(Block(score[None], info[None]), centre, spread)[0]
-    assert own == pytest.approx(np.log(direct), abs=1e-5)
+    own = log_factors(score[None], info[None], centre[None], spread)
+    assert own[0, 0] == pytest.approx(np.log(direct), abs=1e-5)
 
 
 def test_the_expectation_of_the_average_over_the_grid_is_one_without_an_effect() -> None:
     """What makes it an e-value: by simulation of one unit's factor, cut or not."""
     rng = np.random.default_rng(5)
     score = rng.normal(size=(200_000, 1))
-    block = Block(score, np.ones((len(score), 1, 1)))
+    information = np.ones((len(score), 1, 1))
     for size, spread in ((0.0, 0.7), (0.7, 0.25)):
-        assert np.exp(log_factor(block, np.array([size]), spread)).mean() == pytest.approx(1.0, abs=0.02)
-    assert logsumexp(grid_of(2).log_priors) == pytest.approx(0.0, abs=1e-12)
+        factors = np.exp(log_factors(score, information, np.array([[size]]), spread))
+        assert factors.mean() == pytest.approx(1.0, abs=0.02)
+    assert logsumexp(grid_of(2).log_prior) == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize(("key", "sign"), [(HYSTERESIS, "random"), (CUBIC, "common")])

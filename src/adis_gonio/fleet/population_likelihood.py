@@ -70,19 +70,6 @@ RELATIVE_SPREAD = 1 / 3
 
 
 @dataclass(frozen=True)
-class Block:
-    """Score (n, d) and information (n, d, d) of n sessions with respect to the d amplitudes of one cause.
-
-    The score is the derivative of the log likelihood at amplitude zero, and the information is minus its
-    second derivative. Both are for amplitudes in the scaled unit of `Units.joint`: typical standard
-    uncertainties.
-    """
-
-    score: Floats
-    information: Floats
-
-
-@dataclass(frozen=True)
 class Group:
     """Distribution of the amplitudes of a cause: normal with `mean` (d,) and `spread` on every axis.
 
@@ -96,69 +83,57 @@ class Group:
     relative: bool = False
 
 
-def log_factor(block: Block, mean: Floats, spread: float | Floats) -> Floats:
-    """Return the log Bayes factor (n,) of each session, affected against unaffected.
+def log_factors(score: Floats, information: Floats, means: Floats, spread: float | Floats) -> Floats:
+    """Return log Bayes factors (…, n, h) of n sessions, affected against unaffected.
 
-    It is not bounded, so one session can outweigh all others.
+    They are not bounded, so one session can outweigh all others.
 
-    `mean` (d,) and `spread` are the mean and the standard deviation of the amplitudes of affected sessions.
-    `block` has score and information of the sessions on the amplitudes.
+    Parameters
+    ----------
+    score, information : (…, n, d) float, (…, n, d, d) float
+        Derivative of the log likelihood by d amplitudes at zero, and minus its second derivative.
+    means : (h, d) float
+        Mean amplitudes of affected sessions, of which each gives a factor.
+    spread : float or (d,) float
+        Standard deviation of the amplitudes of affected sessions.
     """
-    return log_factors(block, mean[None], spread)[:, 0]
-
-
-def log_factors(block: Block, means: Floats, spread: float | Floats) -> Floats:
-    """Return log Bayes factors (n, h) of n sessions, affected against unaffected.
-
-    They are given for h mean amplitudes `means` (h, d) of affected sessions. The spread of the amplitudes
-    may be one number, or one per amplitude (d,). `block` has score and information of the sessions on the
-    amplitudes.
-    """
-    score, information = block.score, block.information
-    shifted = score[:, None, :] - means @ information  # s − Gμ, (n, h, d)
-    along = 0.5 * ((score[:, None, :] + shifted) * means).sum(axis=2)
-    wide = np.broadcast_to(np.asarray(spread, dtype=float), score.shape[1:])
-    if score.shape[1] == 1:  # scalars instead of matrices
-        denominator = 1 + wide[0] ** 2 * information[:, 0]
-        square = shifted[:, :, 0] ** 2 * (wide[0] ** 2 / denominator)
+    shifted = score[..., None, :] - means @ information  # s − Gμ, (…, n, h, d)
+    along = 0.5 * ((score[..., None, :] + shifted) * means).sum(axis=-1)
+    wide = np.broadcast_to(np.asarray(spread, dtype=float), means.shape[1:])
+    if len(wide) == 1:  # scalars instead of matrices
+        denominator = 1 + wide[0] ** 2 * information[..., 0]
+        square = shifted[..., 0] ** 2 * (wide[0] ** 2 / denominator)
         return np.asarray(along + 0.5 * (square - np.log(denominator)))
     # Gaussian integral over the amplitudes: quadratic form and determinant of (G + 1/τ²).
     precision = information + np.diag(wide**-2.0)
-    solved = np.linalg.solve(precision, shifted.transpose(0, 2, 1)).transpose(0, 2, 1)
+    solved = np.linalg.solve(precision, shifted.swapaxes(-1, -2)).swapaxes(-1, -2)
     size = np.linalg.slogdet(precision)[1] + 2 * np.log(wide).sum()
-    return np.asarray(along + 0.5 * (shifted * solved).sum(axis=2) - 0.5 * size[:, None])
+    return np.asarray(along + 0.5 * (shifted * solved).sum(axis=-1) - 0.5 * size[..., None])
 
 
 @dataclass(frozen=True)
 class Grid:
-    """A grid of h trial distributions of a cause's amplitudes, with their prior.
+    """A grid of trial distributions of a cause's amplitudes, with their prior.
 
-    It is chosen before the data are seen.
+    It is chosen before the data are seen. It combines h distributions with each of `SHARES`, first for
+    amplitudes in their unit, then for relative amplitudes: m = 2 · 6 · h.
 
     Attributes
     ----------
-    mean : (h, d) float
-        Mean amplitudes of each distribution.
-    spread, share, log_prior : (h,) float
-        Standard deviation of the amplitudes, share of affected sessions, and log of the prior. Each
-        distribution is used twice, with half of its prior: for amplitudes in their unit, and for relative
-        amplitudes.
+    mean, spread : (h, d) float, (h,) float
+        Mean amplitudes and standard deviation of the amplitudes of affected sessions.
+    log_prior : (m,) float
+        Log of the prior of each combination.
     """
 
     mean: Floats
     spread: Floats
-    share: Floats
     log_prior: Floats
 
     def group(self, k: int) -> Group:
-        """Return distribution k of the grid; from k = h on, the amplitudes are relative (see `Group`)."""
-        relative, k = divmod(k, len(self.share))
-        return Group(float(self.share[k]), self.mean[k], float(self.spread[k]), bool(relative))
-
-    @property
-    def log_priors(self) -> Floats:
-        """Log prior (2 h,) of all distributions: h with amplitudes in their unit, then h relative ones."""
-        return np.tile(self.log_prior - np.log(2), 2)
+        """Return combination k of the grid."""
+        relative, share, at = np.unravel_index(k, (2, len(SHARES), len(self.spread)))
+        return Group(SHARES[share], self.mean[at], float(self.spread[at]), bool(relative))
 
 
 @cache
@@ -177,14 +152,9 @@ def grid_of(width: int) -> Grid:
     moved = [
         (size * way, size * RELATIVE_SPREAD, 0.5 / len(MEANS) / len(ways)) for size in MEANS for way in ways
     ]
-    every = [*still, *moved]
-    h = len(every)
-    return Grid(
-        np.tile([mean for mean, _, _ in every], (len(SHARES), 1)).reshape(-1, width),
-        np.tile([spread for _, spread, _ in every], len(SHARES)),
-        np.repeat(SHARES, h),
-        np.tile(np.log([part for _, _, part in every]), len(SHARES)) - np.log(len(SHARES)),
-    )
+    means, spreads, parts = map(np.array, zip(*still, *moved, strict=True))
+    copies = 2 * len(SHARES)
+    return Grid(means, spreads, np.tile(np.log(parts / copies), copies))
 
 
 def mixed(log_factor: Floats, share: float, most: float = MOST) -> Floats:
@@ -205,27 +175,25 @@ class Given:
     ----------
     weights : (c, n) float
         Log probability of each of c combinations of present and absent other causes, in each session.
-    blocks : tuple of Block
-        Score and information on the amplitudes for each combination.
+    score, information : (c, n, d) float, (c, n, d, d) float
+        Score and information on the d amplitudes for each combination (`Units.joint`).
     """
 
     weights: Floats
-    blocks: tuple[Block, ...]
+    score: Floats
+    information: Floats
 
     def inside(self, rows: NDArray[np.bool_]) -> Given:
         """Return the evidence of the sessions in the mask `rows` (n,)."""
-        blocks = tuple(Block(one.score[rows], one.information[rows]) for one in self.blocks)
-        return Given(self.weights[:, rows], blocks)
+        return Given(self.weights[:, rows], self.score[:, rows], self.information[:, rows])
 
     def log_factors(self, means: Floats, spread: float) -> Floats:
         """Return log Bayes factors (n, h) of the sessions, affected against unaffected.
 
         `means` (h, d) are mean amplitudes of affected sessions, `spread` is their standard deviation.
         """
-        pairs = zip(self.weights, self.blocks, strict=True)
-        return log_sum_exp(
-            np.stack([own[:, None] + log_factors(one, means, spread) for own, one in pairs]), axis=0
-        )
+        each = log_factors(self.score, self.information, means, spread)
+        return log_sum_exp(self.weights[..., None] + each, axis=0)
 
     def log_factor(self, group: Group) -> Floats:
         """Return the log Bayes factor (n,) of each session for one distribution of the amplitudes."""
@@ -239,11 +207,13 @@ class Given:
         return mixed(self.log_factor(group), group.share, most)
 
     def gains(self, grid: Grid, most: float = MOST) -> Floats:
-        """Return the log likelihood ratio (n, h) of each session at each distribution of a grid."""
-        h = len(grid.share) // len(SHARES)
-        factors = np.empty((self.weights.shape[1], h))
-        for spread in np.unique(grid.spread[:h]):  # all means of one spread in one call
-            rows = np.flatnonzero(grid.spread[:h] == spread)
+        """Return the log likelihood ratio (n, m/2) of each session at each distribution of a grid.
+
+        The amplitudes of the grid count as relative if those of this evidence are relative.
+        """
+        factors = np.empty((self.weights.shape[1], len(grid.spread)))
+        for spread in np.unique(grid.spread):  # all means of one spread in one call
+            rows = np.flatnonzero(grid.spread == spread)
             factors[:, rows] = self.log_factors(grid.mean[rows], float(spread))
         return np.concatenate([mixed(factors, share, most) for share in SHARES], axis=1)
 
@@ -293,11 +263,13 @@ class Units:
         """Return a mask (n,) of the sessions that determine at least one of the columns `index`."""
         return np.asarray((self.length[:, list(index)] > 0).any(axis=1))
 
-    def joint(self, index: Sequence[int], relative: Sequence[bool] | bool = False) -> Block:
-        """Return score and information of all sessions for the columns `index`.
+    def joint(self, index: Sequence[int], relative: Sequence[bool] | bool = False) -> tuple[Floats, Floats]:
+        """Return score (n, d) and information (n, d, d) of all sessions for the d columns `index`.
 
-        Amplitudes are in units of the typical standard uncertainty over all sessions or, if `relative` is
-        true (for all columns or for each), of the standard uncertainty in each session.
+        The score is the derivative of the log likelihood at amplitude zero, and the information is minus
+        its second derivative. Amplitudes are in units of the typical standard uncertainty over all
+        sessions or, if `relative` is true (for all columns or for each), of the standard uncertainty in
+        each session.
         """
         chosen = list(index)
         length = self.length[:, chosen]
@@ -305,7 +277,7 @@ class Units:
         length = np.where(np.broadcast_to(relative, len(chosen)), alike, length)
         ways = self.directions[:, :, chosen].astype(float)
         gram = ways.transpose(0, 2, 1) @ ways  # correlations of the scores, (n, d, d)
-        return Block(self.z[:, chosen] * length, gram * length[:, :, None] * length[:, None, :])
+        return self.z[:, chosen] * length, gram * length[:, :, None] * length[:, None, :]
 
 
 def units_of(evidence: Sequence[SessionEvidence]) -> Units:
@@ -373,16 +345,18 @@ def _moderated(ratio: Floats, dof: Floats) -> Floats:
     return np.where(foreign, ratio, drawn)
 
 
+Kind = tuple[str, bool]
+"""Cause of the catalogue and True, or the quantity that an unnamed function depends on and False."""
+
+
 @dataclass(frozen=True)
 class Candidate:
     """A cause that may affect sessions, in one form (degree, cycles or time constant) and on certain axes.
 
     Attributes
     ----------
-    cause : str
-        Name of the effect in the catalogue, or the quantity that an unnamed function depends on.
-    named : bool
-        True if the catalogue has the cause; False for an unnamed function.
+    kind : Kind
+        The cause.
     variant : str
         Form of the cause (not the type of the sensor): degree, cycles per turn or time constant (see
         `Column`).
@@ -394,17 +368,11 @@ class Candidate:
         Log of its prior probability.
     """
 
-    cause: str
-    named: bool
+    kind: Kind
     variant: str
     axes: str
     index: tuple[int, ...]
     log_prior: float
-
-    @property
-    def kind(self) -> tuple[str, bool]:
-        """The name of the cause, and True if it is named in the catalogue of effects."""
-        return self.cause, self.named
 
 
 def candidates_of(columns: Sequence[Column]) -> list[Candidate]:
@@ -414,7 +382,7 @@ def candidates_of(columns: Sequence[Column]) -> list[Candidate]:
     evenly among the forms of the cause, or in proportion to 1/n among the numbers n of cycles per turn.
     `columns` are the amplitudes on which sessions give evidence.
     """
-    by_kind: dict[tuple[str, bool], list[int]] = defaultdict(list)
+    by_kind: dict[Kind, list[int]] = defaultdict(list)
     for k, column in enumerate(columns):
         by_kind[column.cause, column.named].append(k)
     named = [kind for kind in by_kind if kind[1]]
@@ -431,7 +399,7 @@ def candidates_of(columns: Sequence[Column]) -> list[Candidate]:
             for form, _, _ in blocks
         ]
         for (variant, axes, own), part in zip(blocks, parts, strict=True):
-            out.append(Candidate(*kind, variant, axes, own, math.log(share * part / sum(parts))))
+            out.append(Candidate(kind, variant, axes, own, math.log(share * part / sum(parts))))
     return out
 
 
@@ -470,8 +438,6 @@ WHOLE = 0.5
 
 The remaining prior is for causes in the sessions of one stage, operator, serial number or type of sensor.
 """
-
-Kind = tuple[str, bool]
 
 
 @dataclass(frozen=True)
@@ -534,26 +500,6 @@ class ChosenCause:
 
 
 @dataclass(frozen=True)
-class Scores:
-    """Evidence for adding each of k candidates, in each of g groups, to the present model.
-
-    Attributes
-    ----------
-    log_evidence : (k, g) float
-        Log evidence for the model with the candidate in the group, against the present model, averaged over
-        the grid of distributions.
-    trained : (k, g, folds) float
-        Log evidence without the sessions of a fold.
-    best : (k, g) int
-        Index of the most probable distribution of the grid.
-    """
-
-    log_evidence: Floats
-    trained: Floats
-    best: NDArray[np.intp]
-
-
-@dataclass(frozen=True)
 class SelectionStep:
     """One step of the forward selection of causes: the added cause, and the evidence for it.
 
@@ -599,59 +545,53 @@ class Population:
         The causes `parts` may each be present or absent in a session. `relative` is true for amplitudes in
         each session's standard uncertainty.
         """
-        weights, blocks = [], []
-        # Every combination of present and absent parts, with its probability in each unit.
-        for present in itertools.product((False, True), repeat=len(parts)):
-            log_prior = np.zeros(len(self.units))
-            for part, there in zip(parts, present, strict=True):
-                share = min(part.amplitudes.share, 1 - 1e-9)
-                inside = part.group.inside
-                log_prior += np.where(
-                    inside, np.log(share if there else 1 - share), -np.inf if there else 0.0
-                )
-            chosen = [part for part, there in zip(parts, present, strict=True) if there]
-            weight, block = self._block_given(chosen, candidate.index, log_prior, relative)
-            weights.append(weight)
-            blocks.append(block)
-        every = np.stack(weights)
-        return Given(every - log_sum_exp(every, axis=0), tuple(blocks))
+        # Every combination of present and absent causes, with its probability in each session.
+        cases = itertools.product((False, True), repeat=len(parts))
+        found = [self._case(parts, present, candidate.index, relative) for present in cases]
+        weights, score, information = map(np.stack, zip(*found, strict=True))
+        return Given(weights - log_sum_exp(weights, axis=0), score, information)
 
     def given_others(self, parts: Sequence[ChosenCause], part: ChosenCause) -> Given:
         """Return the evidence on the amplitudes of the cause `part`, averaged over the causes `parts`."""
         return self.given(parts, part.candidate, relative=part.amplitudes.relative)
 
-    def _block_given(
-        self, chosen: Sequence[ChosenCause], index: Sequence[int], log_prior: Floats, relative: bool
-    ) -> tuple[Floats, Block]:
-        """Return score and information of the columns `index` if the causes `chosen` are present.
+    def _case(
+        self, parts: Sequence[ChosenCause], present: Sequence[bool], index: Sequence[int], relative: bool
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return the evidence on the columns `index` if some of the causes `parts` are present.
 
-        The amplitudes of these causes are averaged out. `log_prior` (n,) is the log prior of the
-        combination. Returned with the block is the log probability (n,) of the combination, not normalised.
-        `relative` is true for amplitudes in each session's standard uncertainty.
+        `present` states for each cause if it is present; the amplitudes of present causes are averaged out.
+        `relative` is true for amplitudes in each session's standard uncertainty. Returns the log
+        probability (n,) of this case, not normalised, and score and information of the d columns, (n, d)
+        and (n, d, d).
         """
+        log_weight = np.zeros(len(self.units))
+        for part, there in zip(parts, present, strict=True):
+            share = min(part.amplitudes.share, 1 - 1e-9)
+            inside, outside = (np.log(share), -np.inf) if there else (np.log(1 - share), 0.0)
+            log_weight += np.where(part.group.inside, inside, outside)
+        chosen = list(itertools.compress(parts, present))
         held = [k for part in chosen for k in part.candidate.index]
         in_own = [part.amplitudes.relative for part in chosen for _ in part.candidate.index]
-        both = self.units.joint([*held, *index], [*in_own, *([relative] * len(index))])
+        score, information = self.units.joint([*held, *index], [*in_own, *([relative] * len(index))])
         a = len(held)
-        own = Block(both.score[:, a:], both.information[:, a:, a:])
+        own = score[:, a:], information[:, a:, a:]
         if not chosen:
-            return log_prior, own
+            return log_weight, *own
         mean = np.concatenate([part.amplitudes.mean for part in chosen])
-        spread = np.concatenate(
-            [np.full(len(part.candidate.index), part.amplitudes.spread) for part in chosen]
+        spread = np.repeat(
+            [part.amplitudes.spread for part in chosen], [len(part.candidate.index) for part in chosen]
         )
-        first = Block(both.score[:, :a], both.information[:, :a, :a])
-        across = both.information[:, :a, a:]
+        first, across = information[:, :a, :a], information[:, :a, a:]
+        log_weight += log_factors(score[:, :a], first, mean[None], spread)[:, 0]
         # Schur complement: the chosen amplitudes are integrated over their distribution.
-        precision = first.information + np.diag(spread**-2.0)
-        linear = (first.score + mean / spread**2)[:, :, None]
-        solved = np.linalg.solve(precision, np.concatenate([linear, across], axis=2))
-        score = own.score - (across.transpose(0, 2, 1) @ solved[:, :, :1])[:, :, 0]
-        information = own.information - across.transpose(0, 2, 1) @ solved[:, :, 1:]
-        return log_prior + log_factor(first, mean, spread), Block(score, information)
+        linear = (score[:, :a] + mean / spread**2)[:, :, None]
+        right = np.concatenate([linear, across], axis=2)
+        solved = across.transpose(0, 2, 1) @ np.linalg.solve(first + np.diag(spread**-2.0), right)
+        return log_weight, own[0] - solved[:, :, 0], own[1] - solved[:, :, 1:]
 
     def by_unit(self, parts: Sequence[ChosenCause], candidate: Candidate, most: float = MOST) -> Floats:
-        """Return the log likelihood ratio (n, 2 h) of each session, with a candidate against without it.
+        """Return the log likelihood ratio (n, m) of each session, with a candidate against without it.
 
         `parts` are the causes that are already in the model. There is one column for each distribution of
         the candidate's grid. The log Bayes factor of a session is limited to `most`.
@@ -660,57 +600,64 @@ class Population:
         both = [self.given(parts, candidate, relative=relative) for relative in (False, True)]
         return np.concatenate([given.gains(grid, most) for given in both], axis=1)
 
-    def scores(self, parts: Sequence[ChosenCause], only: Sequence[Candidate] | None = None) -> Scores:
+    def scores(
+        self, parts: Sequence[ChosenCause], only: Sequence[Candidate] | None = None
+    ) -> tuple[Floats, Floats, NDArray[np.intp]]:
         """Return the evidence for adding each candidate, in every group, to the present model.
 
-        `parts` are the causes in the present model. `only` are the candidates; None takes all.
+        `parts` are the causes in the present model. `only` are the k candidates; None takes all.
+
+        Returns
+        -------
+        log_evidence : (k, g) float
+            Log evidence for the model with the candidate in each of g groups, against the present model,
+            averaged over the grid of distributions.
+        trained : (k, g, folds) float
+            Log evidence without the sessions of a fold.
+        best : (k, g) int
+            Index of the most probable distribution of the grid.
         """
         candidates = self.candidates if only is None else only
         shape = (len(candidates), len(self.groups))
         evidence, best = np.zeros(shape), np.zeros(shape, dtype=np.intp)
         trained = np.zeros((*shape, FOLDS))
         for k, candidate in enumerate(candidates):
-            prior = grid_of(len(candidate.index)).log_priors
+            prior = grid_of(len(candidate.index)).log_prior
             # Sum of the gains by group and fold, then over all folds, and over all folds but one.
             by_fold = (self._sums @ self.by_unit(parts, candidate)).reshape(len(self.groups), FOLDS, -1)
             whole = by_fold.sum(axis=1)
             evidence[k] = log_sum_exp(whole + prior, axis=1)
             best[k] = (whole + prior).argmax(axis=1)
             trained[k] = log_sum_exp(whole[:, None] - by_fold + prior, axis=2)
-        return Scores(evidence, trained, best)
+        return evidence, trained, best
 
     def step(self, parts: Sequence[ChosenCause]) -> SelectionStep:
         """Find the most probable cause to add to the model with the causes `parts`."""
         # Posterior over candidates and groups, then the best candidate of the most probable cause.
-        scores = self.scores(parts)
+        evidence, trained, best = self.scores(parts)
         own_prior = np.array([candidate.log_prior for candidate in self.candidates])
         prior = own_prior[:, None] + np.array([group.log_prior for group in self.groups])
-        weighed = scores.log_evidence + prior
+        weighed = evidence + prior
         any_ = float(log_sum_exp(weighed.ravel()))
         share = np.exp(weighed - any_)  # posterior of each candidate in each group
         posterior: dict[Kind, float] = defaultdict(float)
-        for k, candidate in enumerate(self.candidates):
-            posterior[candidate.kind] += float(share[k].sum())
+        for candidate, probable in zip(self.candidates, share.sum(axis=1).tolist(), strict=True):
+            posterior[candidate.kind] += probable
         kind = max(posterior, key=lambda one: posterior[one])
         own = [k for k, candidate in enumerate(self.candidates) if candidate.kind == kind]
         flat, g = divmod(int(weighed[own].argmax()), len(self.groups))
-        chosen = own[flat]
-        candidate, group = self.candidates[chosen], self.groups[g]
+        candidate = self.candidates[own[flat]]
         # The log score of the sessions of each fold, predicted from the others with the cause they choose.
-        heldout = 0.0
-        for fold in range(FOLDS):
-            trained = scores.trained[:, :, fold]
-            best = int((trained + prior).argmax())
-            heldout += float((scores.log_evidence - trained).ravel()[best])
+        guesses = (trained + prior[..., None]).reshape(-1, FOLDS).argmax(axis=0)
+        gains = (evidence[..., None] - trained).reshape(-1, FOLDS)
         places = share[own].sum(axis=0) / share[own].sum()
-        grid = grid_of(len(candidate.index))
-        start = grid.group(int(scores.best[chosen, g]))
+        start = grid_of(len(candidate.index)).group(int(best[own[flat], g]))
         return SelectionStep(
-            part=ChosenCause(candidate, group, start),
+            part=ChosenCause(candidate, self.groups[g], start),
             log_evidence=any_,
             posterior=dict(posterior),
             places={(one.by, one.value): float(p) for one, p in zip(self.groups, places, strict=True)},
-            heldout=heldout,
+            heldout=float(gains[guesses, np.arange(FOLDS)].sum()),
         )
 
     def refine(self, parts: Sequence[ChosenCause], part: ChosenCause) -> ChosenCause:

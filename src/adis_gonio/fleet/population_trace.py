@@ -281,7 +281,7 @@ def _keep_supported(
     for step in steps[:-1]:
         others = [one.part for one in kept if one is not step]
         candidate, place = step.part.candidate, step.part.group
-        own = population.scores(others, [candidate]).log_evidence[0, population.groups.index(place)]
+        own = population.scores(others, [candidate])[0][0, population.groups.index(place)]
         if own + candidate.log_prior + place.log_prior < -math.log(limits.adequate):
             kept = [one for one in kept if one is not step]
             dropped[_label(step.part.candidate.kind)] = "causes that were found later explain it"

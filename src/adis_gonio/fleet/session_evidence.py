@@ -19,6 +19,7 @@ since dwell 7 of one session is not dwell 7 of another.
 from __future__ import annotations
 
 import base64
+import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -26,7 +27,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.errors import DataError
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.estimation.terms import ROUNDING, NamedTerm, join_columns
@@ -55,6 +55,9 @@ COURSES = 4
 class Column:
     """An amplitude of a possible effect, for or against which a session gives evidence.
 
+    Its key is a unique text of the fields, such as `warm_up|tau=316|x|warm_up_x|mg` or `~time|2|x|2_x|mg`
+    (an unnamed function).
+
     Attributes
     ----------
     cause : str
@@ -78,12 +81,6 @@ class Column:
     unit: str
 
     @property
-    def key(self) -> str:
-        """Unique text for the column, such as `warm_up|tau=316|x|warm_up_x|mg` or `~time|2|x|2_x|mg`."""
-        mark = "" if self.named else "~"
-        return "|".join([mark + self.cause, self.variant, self.axes, self.parameter, self.unit])
-
-    @property
     def weight(self) -> float:
         """Expected size of the amplitude relative to the first amplitude of its cause.
 
@@ -99,20 +96,20 @@ class Column:
         return cls(cause.removeprefix("~"), not cause.startswith("~"), variant, axes, parameter, unit)
 
 
-def columns_of(fit: Fit) -> tuple[list[Column], Floats, dict[str, str]]:
+def columns_of(fit: Fit) -> tuple[list[str], Floats, dict[str, str]]:
     """List the amplitudes of all effects that may act in a session, with their columns.
 
     Returns
     -------
-    columns : list of Column
-        The m amplitudes.
+    keys : list of str
+        Keys of the m amplitudes (`Column`).
     change : (n, axes, m) float
         Change of the readings of the fit's session by each amplitude.
     missing : dict of str to str
         Reason for each effect that has no columns.
     """
     data, missing = fit.data, {}
-    columns: list[Column] = []
+    keys: list[str] = []
     blocks: list[tuple[int | slice, Floats]] = []
     for name, kind in catalogue("accelerometer").items():
         reason = _why_not(kind, data)
@@ -125,17 +122,15 @@ def columns_of(fit: Fit) -> tuple[list[Column], Floats, dict[str, str]]:
             first = len(term.amplitudes) - 1 if "degree" in kind.choices() else 0
             blocks.append((slice(None), fit.candidate(term)[:, :, first:]))
             axes, parameters = "".join(one.axes), [one.parameters[k] for k in term.amplitudes[first:]]
-            columns += [Column(name, True, variant, axes, q.name, q.unit) for q in parameters]
+            keys += [f"{name}|{variant}|{axes}|{q.name}|{q.unit}" for q in parameters]
     ideal_g = data.model.stimulus(fit.ideal, data.conditions)
     for cause, variant, rows in _functions(data.conditions, ideal_g if data.planar else None):
         for axis, letter in enumerate(AXES[: data.axes]):
             gain = variant == "gain"
             blocks.append((axis, rows * ideal_g[:, axis, None] if gain else rows))
             count, unit = rows.shape[1], "mg/g" if gain else "mg"
-            columns += [
-                Column(cause, False, variant, letter, f"{j}_{letter}", unit) for j in range(1, count + 1)
-            ]
-    return columns, join_columns(blocks, data.mean.shape), missing
+            keys += [f"~{cause}|{variant}|{letter}|{j}_{letter}|{unit}" for j in range(1, count + 1)]
+    return keys, join_columns(blocks, data.mean.shape), missing
 
 
 def _why_not(kind: type[Effect], data: Readings) -> str:
@@ -204,7 +199,6 @@ def _functions(conditions: Conditions, ideal_g: Floats | None) -> Iterator[tuple
             yield "angle", f"{n}", np.stack([np.cos(n * psi), np.sin(n * psi)], axis=1)
 
 
-FORMAT = "adis-gonio population evidence 1"
 _STEP = 2.0**-15
 """Resolution of the stored directions: 3·10⁻⁵ of the length of a unit vector."""
 
@@ -223,7 +217,7 @@ class SessionEvidence:
     Attributes
     ----------
     keys : tuple of str
-        Keys of the m columns (amplitudes) that this session determines, see `Column.key`.
+        Keys of the m columns (amplitudes) that this session determines, see `Column`.
     z : (m,) float
         Score of each column divided by its standard deviation: N(0, 1) if the effect is absent.
     length : (m,) float
@@ -263,54 +257,26 @@ class SessionEvidence:
         """
         packed = np.clip(np.round(self.directions / _STEP), -32767, 32767).astype("<i2")
         return {
-            "format": FORMAT,
-            "keys": list(self.keys),
+            **vars(self),
             "z": [float(f"{z:.5g}") for z in self.z],
             "length": [float(f"{x:.6g}") for x in self.length],
-            "rank": len(self.directions),
             "directions": base64.b64encode(packed.tobytes()).decode("ascii"),
-            "scatter": [[float(f"{s.chi2:.6g}"), float(f"{s.dof:.6g}")] for s in self.scatter],
-            "noise_known": self.noise_known,
-            "missing": dict(self.missing),
-            **{name: getattr(self, name) for name in _TEXTS},
+            "scatter": [[float(f"{x:.6g}") for x in part] for part in self.scatter],
         }
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any]) -> SessionEvidence:
-        """Restore the evidence from the document of `as_dict`.
-
-        Raises
-        ------
-        DataError
-            The document is of another version, or damaged.
-        """
-        if document.get("format") != FORMAT:
-            raise DataError(f"unknown format of a session's evidence: {document.get('format')!r}")
-        try:
-            keys = tuple(str(key) for key in document["keys"])
-            packed = np.frombuffer(base64.b64decode(document["directions"]), dtype="<i2")
-            evidence = cls(
-                keys=keys,
-                z=np.array(document["z"], dtype=float),
-                length=np.array(document["length"], dtype=float),
-                directions=_unit(packed.reshape(int(document["rank"]), len(keys)) * _STEP),
-                scatter=tuple(ResidualChi2(float(chi2), float(dof)) for chi2, dof in document["scatter"]),
-                noise_known=bool(document["noise_known"]),
-                missing=dict(document["missing"]),
-                **{name: str(document[name]) for name in _TEXTS},
-            )
-        except (KeyError, ValueError, TypeError) as error:
-            raise DataError(
-                f"damaged evidence of {document.get('source') or 'a session'}: {error}"
-            ) from error
-        if len(evidence.z) != len(keys) or len(evidence.length) != len(keys):
-            raise DataError(
-                f"damaged evidence of {evidence.source or 'a session'}: scores and columns differ in number"
-            )
-        return evidence
-
-
-_TEXTS = ("digest", "source", "serial", "operator", "stage", "sensor")
+        """Restore the evidence from the document of `as_dict`."""
+        keys = tuple(document["keys"])
+        packed = np.frombuffer(base64.b64decode(document["directions"]), dtype="<i2")
+        restored = {
+            "keys": keys,
+            "z": np.array(document["z"], dtype=float),
+            "length": np.array(document["length"], dtype=float),
+            "directions": _unit(packed.reshape(len(packed) // max(len(keys), 1), len(keys)) * _STEP),
+            "scatter": tuple(ResidualChi2(*part) for part in document["scatter"]),
+        }
+        return cls(**{**document, **restored})
 
 
 def evidence_of(session: Session) -> SessionEvidence:
@@ -337,9 +303,9 @@ def evidence_of(session: Session) -> SessionEvidence:
     # Shorter columns with equal scalar products: XᵀX = V S² Vᵀ, so the rows S Vᵀ have the products.
     _, s, vt = np.linalg.svd(unit, full_matrices=False)
     kept = s > 1e-5 * (s[0] if s.size else 1.0)
-    keys = tuple(column.key for column, there in zip(made, seen, strict=True) if there)
-    shown = {key.split("|")[0] for key in keys}
-    hidden = {column.cause for column in made if column.named} - shown
+    keys = tuple(itertools.compress(made, seen))
+    causes, shown = ({key.split("|")[0] for key in some} for some in (made, keys))
+    hidden = [cause for cause in causes - shown if not cause.startswith("~")]
     origin = provenance_of(session)
     return SessionEvidence(
         keys=keys,
@@ -350,7 +316,7 @@ def evidence_of(session: Session) -> SessionEvidence:
         noise_known=data.noise_known,
         missing=missing | dict.fromkeys(hidden, "lies in the base model and bias"),
         digest=origin.sha256,
-        **{name: getattr(origin, name) for name in _TEXTS[1:]},
+        **{name: getattr(origin, name) for name in ("source", "serial", "operator", "stage", "sensor")},
     )
 
 
