@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.fleet import sensor_history as words
-from adis_gonio.fleet.sensor_history import history_of, known_serial
+from adis_gonio.fleet.fleet_pages import history_sections
+from adis_gonio.fleet.sensor_history import headline, history_of, known_serial
 from fleet.made_up import made_up
 
 
@@ -33,7 +33,7 @@ def test_a_planted_drift_is_the_one_that_is_found():
     assert [name for name, track in history.tracks.items() if track.drifts] == ["bias_y"]
     slope = history.tracks["bias_y"].drift.slope
     assert abs(slope.value - 0.2) <= slope.U
-    assert "drift in bias_y" in words.headline(history)
+    assert "drift in bias_y" in headline(history)
 
 
 def test_without_a_drift_one_is_called_in_no_more_than_five_percent_of_sensors():
@@ -70,7 +70,8 @@ def test_one_session_has_values_and_neither_drift_nor_chart():
     history = history_of("A7", series(np.random.default_rng(5), 1))
     track = history.tracks["delta_phi"]
     assert (track.drift, track.chart) == (None, None)
-    assert words.value_rows(history)[1][0][1:] != ["–"] * 5
+    (table,) = history_sections(history, figures=False)[0].tables
+    assert table.rows[0][1:] != ["–"] * 5
 
 
 def test_an_unknown_serial_number_names_the_one_most_like_it_in_one_line():

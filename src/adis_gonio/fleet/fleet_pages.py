@@ -6,9 +6,23 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from adis_gonio.base.numbers import NAMES, counted, format_percent, label_quantity
-from adis_gonio.fleet import fleet_summary, sensor_history
-from adis_gonio.fleet.fleet_summary import GROUPS, Distribution, Summary
+from adis_gonio.base.numbers import (
+    DASH,
+    NAMES,
+    count_decimals,
+    counted,
+    format_fixed,
+    format_number,
+    format_p,
+    format_percent,
+    format_uncertain,
+    format_unit,
+    label_quantity,
+    with_unit,
+)
+from adis_gonio.base.uncertainty import OUTLYING
+from adis_gonio.fleet import sensor_history
+from adis_gonio.fleet.fleet_summary import FEWEST, FEWEST_UNITS, GROUPS, Distribution, Summary, headline
 from adis_gonio.fleet.sensor_history import YEAR_DAYS, History, Track
 from adis_gonio.fleet.session_record import Repeated
 from adis_gonio.page.document import Figure, KeyFigure, Section, Series, Table, plot, render
@@ -29,7 +43,7 @@ def build_page(summary: Summary, repeated: Sequence[Repeated] = (), population: 
     return render(
         "Fleet",
         counted(summary.sessions["n"], "session"),
-        shape=fleet_summary.headline(summary).rstrip("."),
+        shape=headline(summary).rstrip("."),
         sections=fleet_sections(summary, repeated, population),
         closing="This page is made from the sessions' files alone and can be made again from them.",
     )
@@ -71,19 +85,35 @@ def _overview(summary: Summary) -> Section:
     n = summary.sessions
     key = [KeyFigure("Sessions with a result", f"{n['ok']} of {n['n']}")]
     key += [KeyFigure(f"{kind.capitalize()}s", str(n[f"{kind}s"])) for kind in GROUPS if n[f"{kind}s"]]
+    traced = "No session was traced: effects are not known."
     if n["traced"]:
-        key.append(
-            KeyFigure(
-                "Model adequate", format_percent(n["adequate"] / n["traced"]), "of the sessions traced"
-            )
-        )
+        share = format_percent(n["adequate"] / n["traced"])
+        key.append(KeyFigure("Model adequate", share, "of the sessions traced"))
+        traced = f"{n['traced']} were traced; the model is adequate in {n['adequate']} of them."
     key.append(KeyFigure("Outlying", str(len(summary.outlying)), "units, stages, operators by quantity"))
-    return Section("Summary", key=key, words=fleet_summary.remarks(summary))
+    failed, doubted, unnamed = (counted(n[of], "session") for of in ("failed", "doubted", "without_serial"))
+    words = [f"{failed} failed."] if n["failed"] else []
+    words.append(traced)
+    if n["doubted"]:
+        words.append(f"{doubted} contain readings that the operator kept against a warning.")
+    if n["without_serial"]:
+        words.append(f"{unnamed} without a serial number: each counts as a unit.")
+    return Section("Summary", key=key, words=words)
 
 
 def _parameters(summary: Summary, *, figures: bool) -> Section:
     head = ["quantity", "unit", "sessions", "median", "5 %", "95 %", "mean", "robust sd"]
-    table = Table(head, fleet_summary.parameter_rows(summary), numeric=tuple(range(2, 8)))
+    rows = []
+    for one in summary.parameters:
+        q, sd = one.quantiles, one.robust_sd
+        # As many decimals as show two digits of the standard deviation.
+        values = [
+            format_fixed(value, count_decimals(sd)) if sd > 1e-6 else format_number(value)
+            for value in (q["50"], q["5"], q["95"], one.mean)
+        ]
+        spread = format_number(sd if one.n > 1 else None, 2)
+        rows.append([NAMES.get(one.name, one.name), format_unit(one.unit), str(one.n), *values, spread])
+    table = Table(head, rows, numeric=tuple(range(2, 8)))
     drawn = [_histogram(one) for one in summary.parameters] if figures else []
     return Section(
         "Parameters",
@@ -121,7 +151,10 @@ def _histogram(one: Distribution) -> Figure | None:
 
 
 def _effects(summary: Summary) -> Section:
-    rows = fleet_summary.effect_rows(summary)
+    rows = []
+    for one in summary.effects:
+        share, low, high = map(format_percent, (one.share, *one.wilson_95))
+        rows.append([one.effect, f"{one.found} of {one.traced}", share, f"{low} to {high}"])
     head = ["effect", "sessions", "share", "95 % interval"]
     table = Table(head, rows, numeric=(1, 2, 3), caption="95 % interval of the share by Wilson.")
     none = ["No effect was found."] if summary.sessions["traced"] and not rows else []
@@ -129,13 +162,33 @@ def _effects(summary: Summary) -> Section:
 
 
 def _outlying(summary: Summary) -> Section:
-    rows = fleet_summary.outlying_rows(summary)
+    rows = []
+    for one in summary.outlying:
+        values = [with_unit(format_number(value), one.unit) for value in (one.value, one.others)]
+        if one.quantity.startswith("effect "):
+            values = [format_percent(one.value), format_percent(one.others)]
+        p = format_number(one.adjusted_p, 2)
+        if one.adjusted_p < 1e-12:
+            p = format_p(one.adjusted_p).split("p\u00a0")[1]
+        count = counted(one.n, "session" if one.kind == "unit" else "unit")
+        quantity = NAMES.get(one.quantity, one.quantity)
+        rows.append([f"{one.kind} {one.name}", quantity, *values, format_fixed(one.z, 1), p, count])
     caption = "" if len(rows) <= _MOST_ROWS else f"The first {_MOST_ROWS} of {len(rows)}."
     head = ["group", "quantity", "here", "the others", "z", "p × tests", "of"]
     table = Table(head, rows[:_MOST_ROWS], numeric=(2, 3, 4, 5), caption=caption)
+    words = (
+        f"{counted(summary.tests, 'comparison')} of units, stages and operators with the rest of the fleet;"
+        f" the probability of any false name is at most {format_percent(OUTLYING)} in all"
+        f" (Bonferroni).{'' if rows else ' No group is outlying.'}"
+    )
+    if not summary.tests:
+        words = (
+            f"Nothing could be compared: a comparison needs {FEWEST_UNITS} units, or {FEWEST} units on a"
+            f" stage or with an operator and {FEWEST} elsewhere."
+        )
     return Section(
         "Outlying groups",
-        words=[fleet_summary.outlying_text(summary)],
+        words=[words],
         tables=[table] if rows else [],
         notes=[
             "Units: robust z of the median of their sessions. Stages and operators: normal scores over"
@@ -172,20 +225,26 @@ def history_page(history: History) -> str:
 
 def history_sections(history: History, *, figures: bool = True) -> list[Section]:
     """Return the sections on the history of a sensor; `figures` is False for the terminal."""
-    head, rows = sensor_history.value_rows(history)
-    shape = sensor_history.headline(history)
+    tracks, shape = history.tracks.values(), sensor_history.headline(history)
+    head = ["date", *(track.label for track in tracks)]
+    adequate = {None: "–", True: "adequate", False: "not adequate"}
+    values, effects = [], []
+    for n, record in enumerate(history.sessions):
+        stated = [t.values[t.sessions.index(n)] if n in t.sessions else None for t in tracks]
+        date = (record.when or "")[:10]
+        values.append([date, *(DASH if v is None else format_uncertain(v.value, v.U) for v in stated)])
+        names = [f"{e.effect} ({', '.join(e.axes)})" if e.axes else e.effect for e in record.effects]
+        found = (", ".join(names) or "none") if record.traced else "not traced"
+        effects.append([date, found, adequate[record.adequate]])
     return [
         Section(
             "Overview",
             words=(f"{shape[:1].upper()}{shape[1:]}.",),
-            tables=(Table(head, rows, "Values ± U (95 %).", tuple(range(1, len(head)))),),
+            tables=(Table(head, values, "Values ± U (95 %).", tuple(range(1, len(head)))),),
             notes=tuple(f"left out: {record.path}: {reason}" for record, reason in history.left_out),
         ),
-        *(_section(track, history, figures=figures) for track in history.tracks.values()),
-        Section(
-            "Effects found",
-            tables=(Table(["date", "effects", "model"], sensor_history.effect_table(history)),),
-        ),
+        *(_section(track, history, figures=figures) for track in tracks),
+        Section("Effects found", tables=(Table(["date", "effects", "model"], effects),)),
     ]
 
 

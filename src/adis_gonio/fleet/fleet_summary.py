@@ -25,15 +25,7 @@ from adis_gonio.base import __version__
 from adis_gonio.base.arrays import MAD_TO_SD, Floats, robust_sd
 from adis_gonio.base.jsonable import HIDDEN, JsonRecord, json_object
 from adis_gonio.base.numbers import (
-    NAMES,
-    count_decimals,
     counted,
-    format_fixed,
-    format_number,
-    format_p,
-    format_percent,
-    format_unit,
-    with_unit,
 )
 from adis_gonio.base.uncertainty import OUTLYING, wilson
 from adis_gonio.fleet.session_record import QUANTITIES, Row
@@ -203,12 +195,10 @@ def by_unit(quantity: str, values: Floats, u: Floats, unit: Codes) -> FamilyOfTe
     quantity : str
         Name of the quantity.
     values, u, unit : (n,)
-        Value of the quantity, its standard uncertainty, and the sensor of each session. `unit` is the
-        number of the sensor; a session with a negative number (unknown) counts as a separate sensor.
+        Value of the quantity, its standard uncertainty, and the number of the sensor of each session.
     """
     good = np.isfinite(values)
-    codes = _own(unit)[good]
-    names, index, count = np.unique(codes, return_inverse=True, return_counts=True)
+    names, index, count = np.unique(unit[good], return_inverse=True, return_counts=True)
 
     def find(level: float) -> list[Outlying]:
         # One value per unit, with the root mean square of its u.
@@ -258,7 +248,7 @@ def by_rank(kind: str, quantity: str, values: Floats, group: Codes, unit: Codes)
     session, number of the group (negative if unknown), and number of the sensor.
     """
     good = np.isfinite(values) & (group >= 0)
-    x, code = _by_unit(values[good], group[good], _own(unit)[good])
+    x, code = _by_unit(values[good], group[good], unit[good])
     return _stepwise(kind, quantity, x, code, _normal_scores, np.median)
 
 
@@ -266,20 +256,15 @@ def by_share(kind: str, effect: str, found: Flags, group: Codes, unit: Codes) ->
     """Test every group by the number of its sensors with an effect in at least half of their sessions.
 
     If `kind` is `unit`, the sessions of each sensor are counted instead. `found` (n,) is True for a session
-    that shows the effect; `group` (n,) and `unit` (n,) are the numbers of its group and its sensor,
-    negative if unknown.
+    that shows the effect; `group` (n,) is the number of its group, negative if unknown, and `unit` (n,) the
+    number of its sensor.
     """
     good = group >= 0
     shown, code = found[good].astype(float), group[good]
     if kind != "unit":
-        shown, code = _by_unit(shown, code, _own(unit)[good])
+        shown, code = _by_unit(shown, code, unit[good])
         shown = (shown >= 0.5).astype(float)
     return _stepwise(kind, f"effect {effect}", shown, code, _hypergeometric, np.mean)
-
-
-def _own(unit: Codes) -> Codes:
-    """Replace negative (unknown) sensor numbers by different ones: each such session is one sensor."""
-    return np.where(unit >= 0, unit, -1 - np.arange(len(unit)))
 
 
 def _by_unit(values: Floats, group: Codes, unit: Codes) -> tuple[Floats, Codes]:
@@ -450,12 +435,13 @@ def summarise(rows: Sequence[Row]) -> Summary:
     Each row has the columns `session_record.COLUMNS`.
     """
     rows = sorted(rows, key=lambda row: row["path"] or "")
-    names = {kind: _texts(rows, column) for kind, column in GROUPS.items()}
-    # Equal names get equal numbers, and an empty name gets -1.
-    groups = {
-        kind: np.where(texts == "", -1, np.unique(texts, return_inverse=True)[1])
-        for kind, texts in names.items()
-    }
+    known = {kind: _texts(rows, column) for kind, column in GROUPS.items()}
+    # A session without a serial number is a unit of its own, which has the name of the file.
+    named = known | {"unit": np.where(known["unit"] == "", _texts(rows, "path"), known["unit"])}
+    names, groups = {}, {}
+    for kind, texts in named.items():
+        names[kind], codes = np.unique(texts, return_inverse=True)
+        groups[kind] = np.where(texts == "", -1, codes)
     ok = _texts(rows, "status") == "ok"
     traced = ok & (_numbers(rows, "traced") == 1)
     counts = {
@@ -465,8 +451,8 @@ def summarise(rows: Sequence[Row]) -> Summary:
         "traced": traced.sum(),
         "adequate": (traced & (_numbers(rows, "adequate") == 1)).sum(),
         "doubted": (_texts(rows, "doubts") != "").sum(),
-        **{f"{kind}s": len(np.unique(codes[codes >= 0])) for kind, codes in groups.items()},
-        "without_serial": (ok & (groups["unit"] < 0)).sum(),
+        **{f"{kind}s": len({*texts.tolist()} - {""}) for kind, texts in known.items()},
+        "without_serial": (ok & (known["unit"] == "")).sum(),
     }
     values = {name: _numbers(rows, name) for name in QUANTITIES}
     values = {name: x for name, x in values.items() if np.isfinite(x).any()}
@@ -477,17 +463,16 @@ def summarise(rows: Sequence[Row]) -> Summary:
     ]
     for effect, shown in effects.items():
         for kind in KINDS:
-            group = np.where(traced, groups[kind], -1)
+            group = np.where(traced & (known[kind] != ""), groups[kind], -1)
             comparisons.append(by_share(kind, effect, shown, group, groups["unit"]))
     tests, found = outlying(comparisons)
-    paths = _texts(rows, "path")
     return Summary(
         {name: int(count) for name, count in counts.items()},
         tuple((row["path"], row["reason"]) for row, good in zip(rows, ok, strict=True) if not good),
         tuple(Distribution.of(name, QUANTITIES[name], x) for name, x in values.items()),
         tuple(sorted(frequencies, key=lambda one: (-one.found, one.effect))),
         tests,
-        tuple(_named(test, tests, paths, names[test.kind], groups[test.kind]) for test in found),
+        tuple(_named(test, tests, str(names[test.kind][test.code])) for test in found),
     )
 
 
@@ -540,15 +525,8 @@ def _comparisons(name: str, values: Floats, u: Floats, groups: Mapping[str, Code
     return [by_unit(name, values, u, unit), *ranks]
 
 
-def _named(
-    test: Outlying, tests: int, paths: NDArray[np.str_], names: NDArray[np.str_], codes: Codes
-) -> Outlying:
-    """Return one of `tests` tests with the name of the group, its unit and the adjusted p-value.
-
-    `paths`, `names` and `codes` (n,) are the file of each session, and the name and number of its group.
-    """
-    # A session without a serial number counts as a unit.
-    name = str(names[codes == test.code][0] if test.code >= 0 else paths[-1 - test.code])
+def _named(test: Outlying, tests: int, name: str) -> Outlying:
+    """Return one of `tests` tests with the name of the group, its unit and the adjusted p-value."""
     if test.quantity == _RMS:  # compared by its logarithm
         test = replace(test, value=math.exp(test.value), others=math.exp(test.others))
     unit = QUANTITIES.get(test.quantity, "1")  # a share has no unit
@@ -570,86 +548,3 @@ def headline(summary: Summary) -> str:
     ]
     known = " ".join(filter(None, who))
     return f"{text}, {known}." if known else f"{text}."
-
-
-def remarks(summary: Summary) -> list[str]:
-    """Return sentences on the numbers of failed, traced, doubtful and unnamed sessions.
-
-    An unnamed session has no serial number.
-    """
-    n = summary.sessions
-    sentences = []
-    if n["failed"]:
-        sentences.append(f"{counted(n['failed'], 'session')} failed.")
-    if n["traced"]:
-        sentences.append(f"{n['traced']} were traced; the model is adequate in {n['adequate']} of them.")
-    else:
-        sentences.append("No session was traced: effects are not known.")
-    if n["doubted"]:
-        sentences.append(
-            f"{counted(n['doubted'], 'session')} contain readings that the operator kept against a warning."
-        )
-    if n["without_serial"]:
-        sentences.append(
-            f"{counted(n['without_serial'], 'session')} without a serial number: each counts as a unit."
-        )
-    return sentences
-
-
-def parameter_rows(summary: Summary) -> list[list[str]]:
-    """Return the rows of the table of parameters."""
-    rows = []
-    for one in summary.parameters:
-        q, sd = one.quantiles, one.robust_sd
-        values = (q["50"], q["5"], q["95"], one.mean)
-        rows.append(
-            [
-                NAMES.get(one.name, one.name),
-                format_unit(one.unit),
-                str(one.n),
-                # As many decimals as show two digits of the standard deviation.
-                *(format_fixed(v, count_decimals(sd)) if sd > 1e-6 else format_number(v) for v in values),
-                format_number(sd if one.n > 1 else None, 2),
-            ]
-        )
-    return rows
-
-
-def effect_rows(summary: Summary) -> list[list[str]]:
-    """Return the rows of the table of effects."""
-    rows = []
-    for one in summary.effects:
-        share, low, high = map(format_percent, (one.share, *one.wilson_95))
-        rows.append([one.effect, f"{one.found} of {one.traced}", share, f"{low} to {high}"])
-    return rows
-
-
-def outlying_rows(summary: Summary) -> list[list[str]]:
-    """Return the rows of the table of outlying groups."""
-    rows = []
-    for one in summary.outlying:
-        values = [with_unit(format_number(value), one.unit) for value in (one.value, one.others)]
-        if one.quantity.startswith("effect "):
-            values = [format_percent(one.value), format_percent(one.others)]
-        p = format_number(one.adjusted_p, 2)
-        if one.adjusted_p < 1e-12:
-            p = format_p(one.adjusted_p).split("p\u00a0")[1]
-        count = counted(one.n, "session" if one.kind == "unit" else "unit")
-        quantity = NAMES.get(one.quantity, one.quantity)
-        rows.append([f"{one.kind} {one.name}", quantity, *values, format_fixed(one.z, 1), p, count])
-    return rows
-
-
-def outlying_text(summary: Summary) -> str:
-    """Return a sentence on the number of comparisons and the probability of naming a group by chance."""
-    if not summary.tests:
-        return (
-            f"Nothing could be compared: a comparison needs {FEWEST_UNITS} units, or {FEWEST} units on a"
-            f" stage or with an operator and {FEWEST} elsewhere."
-        )
-    found = "" if summary.outlying else " No group is outlying."
-    return (
-        f"{counted(summary.tests, 'comparison')} of units, stages and operators with the rest of the fleet;"
-        f" the probability of any false name is at most {format_percent(OUTLYING)} in all"
-        f" (Bonferroni).{found}"
-    )

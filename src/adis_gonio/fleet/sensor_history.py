@@ -25,7 +25,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError, suggest
 from adis_gonio.base.jsonable import JsonRecord, json_object
-from adis_gonio.base.numbers import DASH, NAMES, counted, format_p, format_uncertain, label_quantity
+from adis_gonio.base.numbers import NAMES, counted, format_p, format_uncertain, label_quantity
 from adis_gonio.base.uncertainty import DRIFTING, Value
 from adis_gonio.fleet.fleet_summary import unshared_u
 from adis_gonio.fleet.session_record import ANGLE, QUANTITIES, SessionRecord
@@ -524,17 +524,6 @@ def chart_sentences(track: Track, history: History) -> list[str]:
     return lines
 
 
-def effect_table(history: History) -> list[list[str]]:
-    """Return table rows (date, effects found, adequacy of the model), one for each session."""
-    adequate = {None: "–", True: "adequate", False: "not adequate"}
-    rows = []
-    for record in history.sessions:
-        names = [f"{e.effect} ({', '.join(e.axes)})" if e.axes else e.effect for e in record.effects]
-        effects = (", ".join(names) or "none") if record.traced else "not traced"
-        rows.append([_date(record), effects, adequate[record.adequate]])
-    return rows
-
-
 def _date(record: SessionRecord) -> str:
     return (record.when or "")[:10]
 
@@ -555,15 +544,3 @@ def headline(history: History) -> str:
     if not signals and not outside:
         parts.append("control charts quiet")
     return "; ".join(parts)
-
-
-def value_rows(history: History) -> tuple[list[str], Sequence[list[str]]]:
-    """Return the head and the rows of a table: the date of each session and all its quantities ± U."""
-    tracks = list(history.tracks.values())
-    rows = []
-    for n, record in enumerate(history.sessions):
-        stated = [t.values[t.sessions.index(n)] if n in t.sessions else None for t in tracks]
-        rows.append(
-            [_date(record), *(DASH if v is None else format_uncertain(v.value, v.U) for v in stated)]
-        )
-    return ["date", *(track.label for track in tracks)], rows
