@@ -35,6 +35,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,6 +122,9 @@ class _Ordinates:
     """Real part (d, k, axes, axes) of the cross-periodograms of d dwells, as weighted means in the bins."""
 
 
+_Cells = tuple[Floats, Floats, Floats, Floats]
+
+
 @dataclass(frozen=True)
 class _Foot:
     """Fitted shape of the noise density in a band from frequency zero, relative to its mean over the band.
@@ -168,7 +172,8 @@ def noise_of_means(samples: Sequence[Floats], scale: Floats | float = 1.0) -> Me
         Factor by which the samples are multiplied first.
     """
     groups = _periodograms(samples, scale)
-    foot = _choose_foot(groups)
+    beside_white, all_flicker = _flicker_at_foot(groups)
+    foot = _choose_foot(groups, with_flicker=beside_white)
     d, axes = len(samples), samples[0].shape[1]
     level = np.zeros((d, axes, axes))
     weight = np.zeros(d)
@@ -193,7 +198,7 @@ def noise_of_means(samples: Sequence[Floats], scale: Floats | float = 1.0) -> Me
     density = _without_chance_correlation(level, dof) * math.exp(foot.log_zero)
     flicker, limit = _flicker(groups, density, foot, float(dof[0] if pooled else dof.sum()), n)
     unresolved = bool(np.median(n) * foot.corner < _LEAST_CYCLES and not foot.is_white)
-    if np.median(n) * foot.band <= 2 * _SLOPE and not foot.is_white and _rises_like_flicker(groups):
+    if np.median(n) * foot.band <= 2 * _SLOPE and not foot.is_white and all_flicker:
         flicker = limit = np.maximum(flicker, _all_flicker(groups))
     return MeanNoise(
         covariance=density / n[:, None, None],
@@ -256,143 +261,104 @@ def _basis(x: Floats, order: int) -> Floats:
     return np.asarray(np.polynomial.legendre.legvander(2 * x * x - 1, order), dtype=np.float64)
 
 
-def _whittle(design: Floats, weight: Floats, mean: Floats) -> tuple[Floats, Floats, float]:
-    """Fit the logarithm of a noise density to a spectrum, as a linear combination of given functions.
-
-    Return the coefficients (p,), their covariance (p, p) and −2 log likelihood (Whittle), by Fisher
-    scoring. `mean` (n,) are the mean spectral values in n bins, `weight` (n,) the number of values in each
-    bin, and `design` (n, p) the p functions at the bins.
-    """
-    inverse = np.asarray(np.linalg.pinv(design.T @ (weight[:, None] * design)), dtype=np.float64)
-    beta = np.zeros(design.shape[1])
-    beta[0] = math.log(max(float(np.average(mean, weights=weight)), 1e-300))
-    for _ in range(50):
-        step = inverse @ (design.T @ (weight * (mean * np.exp(-design @ beta) - 1)))
-        # Limit a step to a factor e² in the density, for convergence from a poor start.
-        step /= max(1.0, float(np.abs(design @ step).max()) / 2)
-        beta = beta + step
-        if np.abs(step).max() < 1e-5:
-            break
-    eta = design @ beta
-    return beta, inverse, 2 * float(weight @ (eta + mean * np.exp(-eta)))
-
-
-def _whittle_with_flicker(
-    design: Floats, inverse_x: Floats, weight: Floats, mean: Floats
+def _whittle(
+    design: Floats, weight: Floats, mean: Floats, inverse_x: Floats | None = None
 ) -> tuple[Floats, Floats, float]:
-    """Fit a noise density exp(polynomial) + h/x to a spectrum, in which h/x is 1/f noise at frequency x.
+    """Fit a noise density exp(polynomial) to a spectrum; with `inverse_x` plus 1/f noise h/x.
 
-    Return the coefficients of the polynomial, their covariance and −2 log likelihood (Whittle). h is fitted
-    but not returned; its uncertainty is included in the covariance. `mean` (n,) are the mean spectral
-    values in n bins, `weight` (n,) the number of values in each bin, `inverse_x` (n,) the mean of 1/x in
-    each bin. The columns of `design` are the terms of the polynomial at the bins.
+    Return the coefficients (p,) of the polynomial, their covariance (p, p) and −2 log likelihood (Whittle),
+    by Fisher scoring. h is not returned; its uncertainty is included in the covariance. `mean` (n,) are the
+    mean spectral values in n bins, `weight` (n,) the number of values in each bin, and `inverse_x` (n,) the
+    mean of 1/x in each bin, with the frequency x. The columns of `design` (n, p) are the terms of the
+    polynomial at the bins.
     """
     terms = design.shape[1]
-    beta = np.zeros(terms + 1)
+    slope, inverse = design, np.linalg.pinv(design.T @ (weight[:, None] * design))
+    slow = np.zeros(len(mean)) if inverse_x is None else inverse_x
+    beta = np.zeros(terms + 1)  # the last one is ln h
     # Start values: white level from the upper half, h from the excess of the lowest ordinate.
-    high = inverse_x <= np.median(inverse_x)
+    high = slow <= np.median(slow)
     level = max(float(np.average(mean[high], weights=weight[high])), 1e-300)
     beta[0] = math.log(level)
-    first = int(inverse_x.argmax())
-    beta[-1] = math.log(max(float(mean[first] - level), 1e-3 * level) / float(inverse_x[first]))
-    inverse = np.eye(terms + 1)
-    for _ in range(50):
+    if inverse_x is not None:
+        first = int(slow.argmax())
+        beta[-1] = math.log(max(float(mean[first] - level), 1e-3 * level) / float(slow[first]))
+
+    def parts() -> tuple[Floats, Floats]:
         smooth = np.exp(np.clip(design @ beta[:-1], -60, 60))
-        rising = math.exp(min(max(float(beta[-1]), -60.0), 60.0)) * inverse_x
+        return smooth, math.exp(min(max(float(beta[-1]), -60.0), 60.0)) * slow
+
+    for _ in range(50):
+        smooth, rising = parts()
         expected = smooth + rising
-        # Derivative of log density by the coefficients and by log h.
-        slope = np.column_stack([design * smooth[:, None], rising]) / expected[:, None]
-        inverse = np.asarray(np.linalg.pinv(slope.T @ (weight[:, None] * slope)), dtype=np.float64)
+        if inverse_x is not None:
+            # Derivative of log density by the coefficients and by log h.
+            slope = np.column_stack([design * smooth[:, None], rising]) / expected[:, None]
+            inverse = np.linalg.pinv(slope.T @ (weight[:, None] * slope))
         step = inverse @ (slope.T @ (weight * (mean / expected - 1)))
+        # Limit a step, for convergence from a poor start.
         step /= max(1.0, float(np.abs(step).max()))
-        beta = beta + step
+        beta[: len(step)] += step
         if np.abs(step).max() < 1e-5:
             break
-    expected = (
-        np.exp(np.clip(design @ beta[:-1], -60, 60)) + math.exp(min(float(beta[-1]), 60.0)) * inverse_x
-    )
+    expected = np.add(*parts())
     deviance = 2 * float(weight @ (np.log(expected) + mean / expected))
-    return beta[:-1], inverse[:-1, :-1], deviance
+    return beta[:-1], np.asarray(inverse[:terms, :terms], dtype=np.float64), deviance
 
 
-def _rises_like_flicker(groups: list[_Ordinates]) -> bool:
-    """Return True if 1/f noise alone explains the lowest spectral values better than filtered noise.
+def _flicker_at_foot(groups: list[_Ordinates]) -> tuple[bool, bool]:
+    """Return whether 1/f noise explains the lowest spectral values better than filtered noise.
 
-    `groups` has the spectra of the dwells, one entry for each length of a dwell.
+    The first result is for white plus 1/f noise, the second for 1/f noise alone; both are False without a
+    long dwell. `groups` has the spectra of the dwells, one entry for each length of a dwell. Only the
+    `_SLOPE` lowest values are used, because there a filter is flat; over a wide band the decrease of a long
+    filter resembles h/f plus a polynomial.
     """
-    lowest = _lowest(groups)
-    if lowest is None:
-        return False
-    k, total, mean = lowest
+    total, mean = _lowest(groups)
+    if not total.any():
+        return False, False
+    x = np.arange(1.0, _SLOPE + 1) / _SLOPE
     one = np.ones(_SLOPE)
-    power, _, by_power = _whittle(np.stack([one, np.log(k)], axis=1), total, mean)
-    return bool(-1.5 < power[1] < -0.6 and by_power < _by_filter(k, total, mean) - _CLEARLY)
+    filtered = _whittle(np.stack([one, x**2, x**4], axis=1), total, mean)[2]
+    beside_white = _whittle(one[:, None], total, mean, 1 / x)[2]
+    power, _, alone = _whittle(np.stack([one, np.log(x)], axis=1), total, mean)
+    return beside_white < filtered - _CLEARLY, bool(-1.5 < power[1] < -0.6 and alone < filtered - _CLEARLY)
 
 
-def _flicker_at_foot(groups: list[_Ordinates]) -> bool:
-    """Return True if white plus 1/f noise explains the lowest spectral values better than filtered noise.
+def _lowest(groups: list[_Ordinates]) -> tuple[Floats, Floats]:
+    """Average the `_SLOPE` lowest spectral values over all axes and all dwells with further values.
 
-    `groups` has the spectra of the dwells. Only the lowest values are used, because there a filter is flat;
-    over a wide band the decrease of a long filter resembles h/f plus a polynomial.
+    Return how many were averaged for each value (0 without such a dwell), and the averages. Values are
+    relative to the mean of the lowest values of their dwell and axis, so that loud dwells do not dominate.
     """
-    lowest = _lowest(groups)
-    if lowest is None:
-        return False
-    k, total, mean = lowest
-    _, _, by_flicker = _whittle_with_flicker(np.ones((_SLOPE, 1)), _SLOPE / k, total, mean)
-    return by_flicker < _by_filter(k, total, mean) - _CLEARLY
-
-
-def _by_filter(k: Floats, total: Floats, mean: Floats) -> float:
-    """Return −2 log likelihood of the lowest spectral values for filtered noise.
-
-    Its density is flat near frequency zero. `k` (`_SLOPE`,) are the numbers of the values, counted from
-    frequency zero, `total` the numbers of values that were averaged, and `mean` these averages (`_lowest`).
-    """
-    x2 = (k / _SLOPE) ** 2
-    return _whittle(np.stack([np.ones(_SLOPE), x2, x2**2], axis=1), total, mean)[2]
-
-
-def _lowest(groups: list[_Ordinates]) -> tuple[Floats, Floats, Floats] | None:
-    """Average the `_SLOPE` lowest spectral values over all dwells and axes; None without a long dwell.
-
-    Return the numbers of these values, counted from frequency zero, how many were averaged for each, and
-    the averages. Values are relative to the mean of the lowest values of their dwell and axis.
-    """
-    groups = [group for group in groups if len(group.weight) > _SLOPE]
-    if not groups:
-        return None
-    total, moment = np.zeros(_SLOPE), np.zeros(_SLOPE)
+    total, moment = np.zeros((2, _SLOPE))
     for group in groups:
-        auto = np.diagonal(group.cross[:, :_SLOPE], axis1=2, axis2=3)
-        # Each dwell and axis relative to its own mean, so that loud dwells do not dominate.
-        own = auto.mean(axis=1, keepdims=True)
-        total += len(group.dwell) * auto.shape[2]
-        moment += np.where(own > 0, auto / np.where(own > 0, own, 1.0), 0.0).sum(axis=(0, 2))
-    return np.arange(1.0, _SLOPE + 1), total, np.maximum(moment / total, 1e-12)
+        if len(group.weight) > _SLOPE:
+            auto = np.diagonal(group.cross[:, :_SLOPE], axis1=2, axis2=3)
+            own = auto.mean(axis=1, keepdims=True)
+            total += len(group.dwell) * auto.shape[2]
+            moment += np.where(own > 0, auto / np.where(own > 0, own, 1.0), 0.0).sum(axis=(0, 2))
+    return total, np.maximum(moment / np.maximum(total, 1.0), 1e-12)
 
 
-def _choose_foot(groups: list[_Ordinates]) -> _Foot:
+def _choose_foot(groups: list[_Ordinates], *, with_flicker: bool) -> _Foot:
     """Fit the noise density near frequency zero in bands of decreasing width; return the most certain fit.
 
-    This is the fit with the smallest variance of the density at frequency zero. `groups` has the spectra of
-    the dwells.
+    This is the fit with the smallest variance of the density at frequency zero; of several the one in the
+    widest band. `groups` has the spectra of the dwells; `with_flicker` is True to fit 1/f noise, too.
     """
     best: _Foot | None = None
-    flicker = _flicker_at_foot(groups)
-    band = 0.5
+    band, least = 0.5, math.inf
     while (cells := _cells(groups, band)) is not None:
-        x, weight, mean, inverse_x = cells
-        total = float(weight.sum())
+        total = float(cells[1].sum())
         # 1/total is the variance of a flat fit, the smallest possible one in this band.
-        if best is not None and (total < _LEAST_WEIGHT or 1 / total > best.log_zero_variance):
+        if best is not None and (total < _LEAST_WEIGHT or 1 / total > least):
             break
-        feet = [_polynomial_foot(band, x, weight, mean)]
-        if flicker:
-            feet.append(_foot_beside_flicker(band, x, weight, mean, inverse_x))
-        for foot in feet:
-            if foot is not None and (best is None or foot.log_zero_variance < best.log_zero_variance):
-                best = foot
+        for beside_flicker in (False, True)[: 1 + with_flicker]:
+            foot = _fit_foot(band, cells, beside_flicker=beside_flicker)
+            if foot is not None and foot.log_zero_variance < least:
+                # Variances that differ by rounding errors count as equal.
+                best, least = foot, foot.log_zero_variance * (1 - 1e-9)
         if total < _LEAST_WEIGHT:
             return best or _Foot(band, 0.0, 1 / total, total, np.zeros(1))
         band /= 2
@@ -402,61 +368,40 @@ def _choose_foot(groups: list[_Ordinates]) -> _Foot:
     return best
 
 
-def _polynomial_foot(band: float, x: Floats, weight: Floats, mean: Floats) -> _Foot | None:
+def _fit_foot(band: float, cells: _Cells, *, beside_flicker: bool) -> _Foot | None:
     """Fit the log noise density in a band by a polynomial of the lowest sufficient order; None without one.
 
-    An order is sufficient if one or two further terms do not improve the fit clearly. `mean` (n,) are mean
-    spectral values at the frequencies `x` (n,), which are relative to the end of the `band`, and `weight`
-    (n,) are the numbers of values in these means.
+    An order is sufficient if one or two further terms do not improve the fit clearly. With `beside_flicker`
+    1/f noise is fitted in addition, which has to explain the density better than one or two further terms.
+    `cells` are the averages in the `band` (`_cells`).
     """
-    fits: list[tuple[Floats, Floats, float]] = []
-    for order in range(min(3, len(x))):
-        for p in range(len(fits), min(order + 3, len(x))):
-            fits.append(_whittle(_basis(x, p), weight, mean))
-        beta, covariance, deviance = fits[order]
+    x, weight, mean, inverse_x = cells
+
+    @cache
+    def fitted(order: int, with_flicker: bool) -> tuple[Floats, Floats, float]:
+        return _whittle(_basis(x, order), weight, mean, inverse_x if with_flicker else None)
+
+    for order in range(min(3, len(x) - 2 * beside_flicker)):
+        beta, covariance, deviance = fitted(order, beside_flicker)
+        better = 0.0
+        if beside_flicker:
+            better = min(fitted(order + k, False)[2] for k in (1, 2)) - deviance
+            if better < _CLEARLY:
+                continue
         # Likelihood-ratio test against one and two further terms.
-        richer = fits[order + 1 : order + 3]
-        if not any(deviance - fit[2] > gain for fit, gain in zip(richer, _GAINS, strict=False)):
-            return _foot(band, beta, covariance, weight)
-    return None
-
-
-def _foot(
-    band: float, beta: Floats, covariance: Floats, weight: Floats, *, beside_flicker: bool = False
-) -> _Foot:
-    # Value and variance of log density, extrapolated to frequency zero.
-    at_zero = _basis(np.zeros(1), len(beta) - 1)[0]
-    variance = float(at_zero @ covariance @ at_zero)
-    return _Foot(band, float(at_zero @ beta), variance, float(weight.sum()), beta, beside_flicker)
-
-
-def _foot_beside_flicker(
-    band: float, x: Floats, weight: Floats, mean: Floats, inverse_x: Floats
-) -> _Foot | None:
-    """Fit the noise density in a band by the exponential of a polynomial plus 1/f noise.
-
-    `mean` (n,) are mean spectral values at the frequencies `x` (n,), which are relative to the end of the
-    `band`; `weight` (n,) are the numbers of values in these means, and `inverse_x` the means of 1/x. None
-    if one or two further terms of the polynomial explain the density as well as 1/f noise.
-    """
-    for order in range(min(3, len(x) - 2)):
-        one, two = (_whittle(_basis(x, order + k), weight, mean)[2] for k in (1, 2))
-        beta, covariance, deviance = _whittle_with_flicker(_basis(x, order), inverse_x, weight, mean)
-        better = min(one, two) - deviance
-        if better < _CLEARLY:
-            continue
         richer = (
-            _whittle_with_flicker(_basis(x, order + k), inverse_x, weight, mean)[2]
-            for k in (1, 2)
-            if order + k < len(x) - 1
+            fitted(order + k, beside_flicker)[2] for k in (1, 2) if order + k < len(x) - beside_flicker
         )
         allowed = (max(gain, _NOT_QUITE * better) for gain in _GAINS)
         if not any(deviance - other > most for other, most in zip(richer, allowed, strict=False)):
-            return _foot(band, beta, covariance, weight, beside_flicker=True)
+            # Value and variance of log density, extrapolated to frequency zero.
+            at_zero = _basis(np.zeros(1), order)[0]
+            variance = float(at_zero @ covariance @ at_zero)
+            return _Foot(band, float(at_zero @ beta), variance, float(weight.sum()), beta, beside_flicker)
     return None
 
 
-def _cells(groups: list[_Ordinates], band: float) -> tuple[Floats, Floats, Floats, Floats] | None:
+def _cells(groups: list[_Ordinates], band: float) -> _Cells | None:
     """Average the spectra of all dwells in cells of equal width from frequency zero to `band`.
 
     The results are arrays (c,) with one value for each cell that is not empty: the mean of x = f/band, the
@@ -500,20 +445,22 @@ def _homogeneous(level: Floats, weight: Floats) -> bool:
     from which each was computed.
     """
     use = weight > 0
-    if use.sum() < 2:
-        return True
+    own = np.maximum(np.diagonal(level[use], axis1=1, axis2=2), 1e-300)
+    return all(p_of_equal_variances(axis, 2 * weight[use]) >= 1e-3 / own.shape[1] for axis in own.T)
+
+
+def p_of_equal_variances(variance: Floats, dof: Floats) -> float:
+    """Return the p-value of Bartlett's test that k samples of a normal distribution have equal variances.
+
+    `variance` (k,) are their measured variances, above 0, and `dof` (k,) the degrees of freedom.
+    """
+    if len(variance) < 2:
+        return 1.0
     from scipy.special import chdtrc
 
-    half = weight[use]
-    groups = int(use.sum())
-    correction = 1 + (np.sum(1 / (2 * half)) - 1 / (2 * half.sum())) / (3 * (groups - 1))
-    for axis in range(level.shape[1]):
-        own = np.maximum(level[use, axis, axis], 1e-300)
-        common = half @ own / half.sum()
-        statistic = 2 * (half.sum() * math.log(common) - half @ np.log(own)) / correction
-        if chdtrc(groups - 1, max(statistic, 0.0)) < 1e-3 / level.shape[1]:
-            return False
-    return True
+    correction = 1 + (np.sum(1 / dof) - 1 / dof.sum()) / (3 * (len(dof) - 1))
+    common = np.log(dof @ variance / dof.sum())
+    return float(chdtrc(len(dof) - 1, max(dof @ (common - np.log(variance)) / correction, 0.0)))
 
 
 def _without_chance_correlation(level: Floats, dof: Floats) -> Floats:

@@ -45,6 +45,7 @@ from adis_gonio.base.numbers import format_number
 from adis_gonio.base.uncertainty import FOUND_WITHIN, INADEQUATE, Detectable, Value
 from adis_gonio.fitting.estimation.readings import Readings, quantization_variance
 from adis_gonio.fitting.estimation.screening import LIVELY, run_lengths
+from adis_gonio.fitting.estimation.spectrum import p_of_equal_variances
 from adis_gonio.model.records import Session
 from adis_gonio.tracing.within.samples import (
     POWER,
@@ -353,16 +354,6 @@ class Levels:
         """Pooled variance of all dwells in mg²."""
         return float(self.dof @ self.variance / self.dof.sum())
 
-    def alike(self) -> float:
-        """Return the p-value of Bartlett's test that all dwells have equal variances."""
-        d = len(self.variance)
-        if d < 2:
-            return 1.0
-        half = self.dof / 2
-        correction = 1 + (np.sum(1 / self.dof) - 1 / self.dof.sum()) / (3 * (d - 1))
-        statistic = 2 * (half.sum() * np.log(self.common) - half @ np.log(self.variance)) / correction
-        return float(special.chdtrc(d - 1, max(statistic, 0.0)))
-
     def changed(self) -> float:
         """Return the p-value of the t-test for a single change of the level, at the most significant place.
 
@@ -458,7 +449,7 @@ def _p_value(own: Levels, axes: int) -> float:
     at = np.arange(len(own.variance))
     halves, singles = [at >= cut for cut in at[1:]], [at == k for k in at]
     # Four tests, two of them for many divisions of the dwells; each is multiplied by the total number.
-    candidates = [own.alike(), own.changed()]
+    candidates = [p_of_equal_variances(own.variance, own.dof), own.changed()]
     for parts in (halves, singles):
         candidates += [_ratio_p(own.rows(~part), own.rows(part)) * len(parts) for part in parts]
     return corrected(min(candidates) * TESTS * axes, 1)
@@ -494,7 +485,7 @@ def _explained(own: Levels, cut: int) -> bool:
     """
     at = np.arange(len(own.variance))
     parts = [own.rows(at < cut - 1), own.rows(at > cut)]
-    p = [part.alike() for part in parts if len(part.variance) > 1]
+    p = [p_of_equal_variances(part.variance, part.dof) for part in parts if len(part.variance) > 1]
     return all(value > INADEQUATE / max(len(p), 1) for value in p)
 
 
