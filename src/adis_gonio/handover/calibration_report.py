@@ -19,7 +19,6 @@ from adis_gonio.base.numbers import (
     NO_BREAK,
     UNKNOWN,
     format_number,
-    format_p,
     format_percent,
     format_span,
     format_uncertain,
@@ -269,27 +268,22 @@ def found_section(traced: TraceResult) -> Section:
             words.with_axes(finding),
             "\n".join(words.parameters(finding)),
             "–" if finding in inside else format_percent(finding.explains),
-            format_percent(finding.probability),
-            format_p(finding.p_value),
         ]
         for finding in words.ordered(traced)
     ]
-    tables = []
-    if rows:
-        head = ["effect", "parameters", "explains", "probability", "test"]
-        caption = "“Explains” is the share of the base model's residual beyond the measured noise."
-        tables.append(Table(head, rows, caption=caption, numeric=(2, 3)))
+    table = Table(["effect", "parameters ± U (95 %)", "explains"], rows, numeric=(2,))
     parts = [
         Section("Effects that this session cannot distinguish", points=words.confounded(traced, most=8)),
         Section("Unnamed causes", points=[words.unnamed(traced)] if traced.unnamed else []),
         Section("Candidates not accepted", points=words.open_names(traced)),
     ]
-    causes = {finding.effect: finding.cause for finding in words.ordered(traced)}
+    notes = [f"{one.effect}: {words.how_sure(one)}. {one.cause}" for one in words.ordered(traced)]
+    share = "“Explains” is the share of the base model's residual beyond the measured noise."
     return Section(
         "Effects found",
-        notes=[f"{name}: {cause}" for name, cause in causes.items()],
+        notes=[*notes, share] if rows else [],
         words=[] if rows else ["No effect had to be added, or none could be named."],
-        tables=tables,
+        tables=[table] if rows else [],
         parts=[part for part in parts if part.points],
     )
 
@@ -334,12 +328,12 @@ def errors_section(traced: TraceResult) -> Section:
         rows,
         numeric=tuple(range(1, len(head))),
         strong=(len(rows) - 1,),
-        caption=f"Root mean squares. Left out: {traced.heldout_design or 'nothing'}.",
     )
     tables = [table]
     if base:
         tables.append(Table(["base parameter", "in the final model"], base, numeric=(1,)))
-    return Section("Error before and after", tables=tables)
+    left_out = f"Errors are root mean squares. Left out: {traced.heldout_design or 'nothing'}."
+    return Section("Error before and after", tables=tables, notes=[left_out])
 
 
 def steps_section(traced: TraceResult, views: Views) -> Section:
@@ -382,20 +376,22 @@ def residual_section(views: Views) -> Section:
     return Section("Remaining residual", figures=figures)
 
 
-def what_if_section(traced: TraceResult) -> list[Section]:
+def what_if_section(traced: TraceResult, *, figures: bool = True) -> list[Section]:
     """Return a list with the section that compares the user's model with the best model.
 
-    The list is empty if the user gave no model.
+    The list is empty if the user gave no model. `figures` is False for the terminal.
     """
     if traced.what_if is None:
         return []
     head, rows = words.compared(traced.what_if)
-    caption = "Left out: the same dwells for all models. Odds contain the prior probability of the model."
-    table = Table(head, rows, numeric=tuple(range(1, len(head))), strong=(2,), caption=caption)
-    panels = what_if_panels(traced.what_if)
-    figures = [_panel_figure(panel, "the asked model", "with the best model") for panel in panels]
+    note = "Left out: the same dwells for all models. Odds contain the prior probability of the model."
+    table = Table(head, rows, numeric=tuple(range(1, len(head))), strong=(2,))
+    panels = what_if_panels(traced.what_if) if figures else []
+    drawn = [_panel_figure(panel, "the asked model", "with the best model") for panel in panels]
     points = words.forced(traced.what_if)
-    return [Section(words.asked(traced.what_if), points=points, tables=[table], figures=figures)]
+    return [
+        Section(words.asked(traced.what_if), points=points, tables=[table], figures=drawn, notes=[note])
+    ]
 
 
 def further_terms_section(traced: TraceResult) -> Section:

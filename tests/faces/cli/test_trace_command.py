@@ -44,7 +44,7 @@ def test_the_summary_says_what_how_sure_before_after_and_next(capsys, biased):
     assert "bias_x = 8.0" in out
     assert "as good as certain" in out
     headings = [
-        "Found (± U, 95 %)",
+        "Effects found",
         "Error before and after",
         "What this session could not have seen",
         "What to measure next",

@@ -123,7 +123,7 @@ def print_table(
         parts[-1].append(k)
     for part in parts:
         fits = sum(least[k] for k in part) <= room
-        table = Table(box=None, padding=(0, 2, 0, 0))
+        table = Table(box=None, padding=(0, 2, 0, 0), show_header=any(head))
         for k in part:
             side: Literal["left", "right"] = "left" if k in texts else "right"
             table.add_column(Text(head[k]), justify=side, overflow="fold", no_wrap=fits and k not in texts)
@@ -139,15 +139,17 @@ _MOST_ROWS = 40
 def print_sections(screen: Console, sections: Iterable[Section]) -> None:
     """Print words, points, tables, notes and parts of sections of a page; empty sections are left out."""
     for section in sections:
-        texts = [*section.words, *section.points]
-        if texts or section.tables:
+        if section.words or section.points or section.tables:
             screen.print()
             screen.print(section.title, style="bold cyan")
-        for text in texts:
+        for text in section.words:
             print_indented(screen, text)
+        if section.points:
+            print_table(screen, ("", ""), [("·", text) for text in section.points], (0, 1), indent=2)
         for table in section.tables:
             words = set(range(len(table.head))) - set(table.numeric)
-            print_table(screen, table.head, table.rows[:_MOST_ROWS], words)
+            strong = [table.rows[k][0] for k in table.strong]
+            print_table(screen, table.head, table.rows[:_MOST_ROWS], words, strong)
             if len(table.rows) > _MOST_ROWS:
                 screen.print(f"The first {_MOST_ROWS} rows; all are in the JSON document.")
         for text in section.notes:

@@ -7,16 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.table import Table
-from rich.text import Text
 
 from adis_gonio.base.errors import AdisGonioError, UsageError
-from adis_gonio.base.numbers import counted, format_percent
+from adis_gonio.base.numbers import counted
 from adis_gonio.faces.cli import options as option, show
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from adis_gonio.base.conformity import Tolerance
     from adis_gonio.model.records import Session
     from adis_gonio.record.loading import Overrides
@@ -87,97 +83,38 @@ def trace_command(
 
 
 def print_trace(sessions: Sequence[Session], result: TraceResult) -> None:
-    """Show the result of a trace of one or more sessions on the terminal."""
+    """Show the result of a trace of one or more sessions on the terminal, by sections of the report."""
+    from adis_gonio.handover.calibration_report import errors_section, found_section, what_if_section
+    from adis_gonio.page.document import Section
     from adis_gonio.tracing import trace_summary as summary
     from adis_gonio.tracing.joint_trace import JointResult
 
     screen = show.console(most=show.WIDTH)
     for session in sessions:
         screen.print(f"{summary.title(session)}: {summary.shape(session)}")
-    if result.what_if is not None:
-        _print_heading(screen, summary.asked(result.what_if))
-        _print_models(screen, summary.compared(result.what_if))
-        screen.print("   left out: the dwells that all three models predict", style="dim")
-        _print_list(screen, "Asked for (± U, 95 %)", summary.forced(result.what_if))
+    show.print_sections(screen, what_if_section(result, figures=False))
     screen.print()
     screen.print(summary.headline(result), style="bold")
     screen.print(summary.gains(result))
-    _print_found(screen, result)
-    _print_heading(screen, "Error before and after")
-    _print_models(screen, summary.error_rows(result))
-    if result.heldout_design:
-        alone = "; `fit` leaves out one dwell at a time" if "whole dwells" in result.heldout_design else ""
-        show.print_indented(screen, f"left out: {result.heldout_design}{alone}", 3, "dim")
-    _print_list(screen, "What this session cannot distinguish", summary.confounded(result))
-    _print_list(screen, "Unnamed cause", [summary.unnamed(result)] if result.unnamed else [])
-    if isinstance(result, JointResult):
-        _print_list(screen, "Belongs to", summary.owners(result))
-        _print_list(screen, "Evidence of each session", summary.session_shares(result))
-    _print_list(screen, "Rejected effects", summary.open_names(result))
-    _print_list(screen, "Inside the dwells", summary.within(result))
     seen = summary.sight(result)
     smallest = {name: summary.amplitude(entry) for name, entry in result.detectable.items()}
     weak = ", ".join(f"{name} from {smallest[name]}" for name in seen.weak)
-    items = [f"only if larger than usual: {weak}"] if weak else []
-    items += [f"{', '.join(names)}: {reason}" for reason, names in seen.blind.items()]
-    _print_list(screen, "What this session could not have seen", items)
+    hidden = [f"only if larger than usual: {weak}"] if weak else []
+    hidden += [f"{', '.join(names)}: {reason}" for reason, names in seen.blind.items()]
     visible = ", ".join(f"{name} {smallest[name]}" for name in seen.visible)
-    heading = f"{summary.absent(result).capitalize()} (90 % power) from"
-    _print_list(screen, heading, [visible] if visible else [])
-    _print_list(screen, "What to measure next", summary.advice(result), numbered=True)
     notes = dict.fromkeys(note for session in sessions for note in session.notes)
-    _print_list(screen, "Remarks", [*notes, *result.notes])
-
-
-def _print_heading(screen: Console, text: str) -> None:
-    screen.print()
-    screen.print(text, style="bold cyan")
-
-
-def _print_list(screen: Console, heading: str, items: Sequence[str], numbered: bool = False) -> None:
-    """Print a list under a heading, with hanging indent; nothing is printed for an empty list.
-
-    `numbered` puts numbers before the items instead of dots.
-    """
-    if not items:
-        return
-    _print_heading(screen, heading)
-    table = Table.grid(padding=(0, 1, 0, 0))
-    table.add_column(justify="right", width=3)
-    table.add_column()
-    for k, item in enumerate(items, 1):
-        table.add_row(f"{k}." if numbered else "·", Text(item))
-    screen.print(table)
-
-
-def _print_found(screen: Console, result: TraceResult) -> None:
-    from adis_gonio.tracing import trace_summary as summary
-
-    if not result.found:
-        return
-    _print_heading(screen, "Found (± U, 95 %)")
-    table = Table.grid(padding=(0, 2, 0, 0))
-    table.add_column(justify="right", width=3)
-    table.add_column(no_wrap=True)
-    table.add_column()
-    for k, finding in enumerate(summary.ordered(result), 1):
-        explained = "inside the dwells; explains nothing of the residual of the means"
-        if finding.explains or finding not in summary.inside_only(result):
-            explained = f"explains {format_percent(finding.explains)} of the excess residual"
-        first, *more = summary.parameters(finding) or ["–"]
-        table.add_row(f"{k}.", Text(summary.with_axes(finding), style="bold"), Text(first))
-        for line in (*more, explained, summary.how_sure(finding)):
-            table.add_row("", "", Text(line))
-        table.add_row("", "", Text(finding.cause, style="dim"))
-    screen.print(table)
-
-
-def _print_models(screen: Console, cells: tuple[list[str], list[list[str]]]) -> None:
-    """Print a table of models, with the last row in bold; `cells` are its column names and its rows."""
-    (first, *names), rows = cells
-    head = [name if name.endswith("dof") else name.replace(" / ", "\n") for name in names]
-    head = [first, *(name.replace("error of the angle", "angle") for name in head)]
-    show.print_table(screen, head, rows, bold=[rows[-1][0]] if len(rows) > 1 else (), indent=3)
+    joint = result if isinstance(result, JointResult) else None
+    points = {
+        "Belongs to": [] if joint is None else summary.owners(joint),
+        "Evidence of each session": [] if joint is None else summary.session_shares(joint),
+        "Inside the dwells": summary.within(result),
+        "What this session could not have seen": hidden,
+        f"{summary.absent(result).capitalize()} (90 % power) from": [visible] if visible else [],
+        "What to measure next": summary.advice(result),
+        "Remarks": [*notes, *result.notes],
+    }
+    rest = [Section(title, points=texts) for title, texts in points.items()]
+    show.print_sections(screen, [found_section(result), errors_section(result), *rest])
 
 
 # -- the closed loop of `calibrate --trace` ----------------------------------------------------------
@@ -199,6 +136,8 @@ def loop_line(summary: Mapping[str, Any]) -> str:
 
 def print_loop(session: Session) -> None:
     """Print why no more positions of the trace were measured; nothing if the trace was not asked."""
+    from adis_gonio.page.document import Section
+
     rounds = session.facts.get("advised", [])
     if not rounds:
         return
@@ -206,9 +145,7 @@ def print_loop(session: Session) -> None:
     if not ended:
         declined = len(session.facts["plan"]["positions"]) == rounds[-1]["planned"]
         ended = "further positions were declined" if declined else "not ended: go on with --resume --trace"
-    screen = show.console(most=show.WIDTH)
-    _print_heading(screen, "Closing the loop")
-    screen.print(f"   {ended}")
+    show.print_sections(show.console(most=show.WIDTH), [Section("Closing the loop", words=[ended])])
 
 
 @option.command("report", "--output --time-limit", {"Conformity": "--tolerance --rule --risk", **_WHAT_IF})
