@@ -2,6 +2,7 @@
 
 import html
 import html.parser
+import math
 import re
 from dataclasses import replace
 
@@ -24,6 +25,7 @@ from adis_gonio.handover.calibration_report import (
 from adis_gonio.model.effects import Conditions, effect
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.page.document import Figure, Section, Series, Table, plot
+from adis_gonio.record.loading import Overrides
 from adis_gonio.tracing.trace_figures import views_of
 from adis_gonio.tracing.trace_summary import confounded, headline, how_sure, sight
 from adis_gonio.tracing.traced_answer import answer_with_trace
@@ -242,23 +244,19 @@ def test_a_session_that_cannot_be_traced_still_has_a_page():
 
 
 def test_the_page_says_who_measured_which_part_where_and_what_was_overridden():
-    session = planar()
-    changes = {
-        "gravity_mps2": {"old": 9.80665, "new": 9.81},
-        "fixture_sigma_deg": {"old": None, "new": "free"},
-        "reverse": {"old": False, "new": True},
-        "columns": {"old": {}, "new": {"ax": "Acc_X"}},
-    }
-    session = replace(session, facts={"overrides": changes})
+    corrected = Overrides(
+        gravity_mps2=9.81, fixture_sigma_deg=math.inf, reverse=True, columns={"ax": "Acc_X"}
+    )
+    session = corrected.apply(planar())
     for name, text in {"operator": "Ada <b>", "serial": "0042", "stage": "T2"}.items():
         object.__setattr__(session, name, text)  # as a session has them that was recorded on a bench
     said = " ".join(outline(build_page(session, [], "none")).text)
     assert "part 0042 · stage T2 · operator Ada <b>" in said
     for text in (
-        "gravity_mps2: 9.81 instead of 9.80665",
-        "fixture_sigma_deg: free instead of nothing stated",
-        "reverse",
-        "columns: ax = Acc_X instead of those of the format",
+        "overridden: gravity 9.81 m/s² instead of 9.80665",
+        "uncertainty of a declared angle free instead of",
+        "the stage turned the other way",
+        "columns ax = 'Acc_X'",
     ):
         assert text in said
     texts = [*facts(session).values()]

@@ -519,7 +519,6 @@ def facts(session: Session, reference_c: float | None = None) -> dict[str, str]:
         "sensor": session.sensor + (" (simulated)" if stored.get("simulated") else ""),
         "bus": str(stored.get("url", "")),
         "note": str(stored.get("note", "")),
-        "overridden": "\n".join(words.overridden(session)),
         "begun (UTC)": str(stored.get("started_utc", "")),
         "recorded by": str(stored.get("software", "")),
         "this page by": f"adis-gonio {__version__}",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.base.numbers import (
@@ -73,25 +73,6 @@ def written_down(session: Session) -> dict[str, str]:
     """Return the serial number, stage and operator of a session by their names on the page, if stated."""
     texts = {name: str(getattr(session, field, "")).strip() for field, name in _WRITTEN_DOWN.items()}
     return {name: text for name, text in texts.items() if text}
-
-
-def overridden(session: Session) -> list[str]:
-    """Return a text for each value of the session's metadata that the user replaced.
-
-    An example is `gravity_mps2: 9.81 instead of 9.80665`.
-    """
-    return [
-        name
-        if change["new"] is True
-        else f"{name}: {_stated(change['new'])} instead of {_stated(change['old'])}"
-        for name, change in session.facts.get("overrides", {}).items()
-    ]
-
-
-def _stated(value: Any) -> str:
-    if isinstance(value, dict):
-        return ", ".join(f"{mine} = {theirs}" for mine, theirs in value.items()) or "those of the format"
-    return "nothing stated" if value is None else str(value)
 
 
 def shape(session: Session) -> str:
