@@ -187,19 +187,15 @@ class Measurement(ABC):
         return np.ones(len(conditions), dtype=bool)
 
     @abstractmethod
-    def begin(
-        self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
-    ) -> tuple[Floats, Floats]:
+    def begin(self, reading: Floats, angle_rad: Floats, conditions: Conditions) -> tuple[Floats, Floats]:
         """Return rough starting values: base parameters (p,), and the attitude of each dwell.
 
         Parameters
         ----------
         reading : (n, axes) float
             Measured readings in `unit`.
-        turn_rad : (n,) float
-            −θ in rad if `declared` (θ is the declared angle), else 0.
-        declared : (n,) bool
-            True for dwells with a declared angle.
+        angle_rad : (n,) float
+            Declared angle θ in rad; NaN for a dwell without one.
         conditions : Conditions
             Circumstances of the dwells.
         """
@@ -295,9 +291,7 @@ class PlanarTurn(Measurement):
         """Return the start angle α in rad."""
         return float(base[0])
 
-    def begin(
-        self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
-    ) -> tuple[Floats, Floats]:
+    def begin(self, reading: Floats, angle_rad: Floats, conditions: Conditions) -> tuple[Floats, Floats]:
         """Return starting values of the base parameters (4,) and of the deviations δ (n,).
 
         They follow from a fit of A cos θ + B sin θ to the dwells with declared angles θ. Fewer than two
@@ -305,7 +299,8 @@ class PlanarTurn(Measurement):
         """
         reading = reading / self.gravity_mg
         shown = np.arctan2(reading[:, 1], reading[:, 0])
-        theta = -turn_rad[declared]
+        declared = np.isfinite(angle_rad)
+        theta = angle_rad[declared]
         # Both axes are A cos θ + B sin θ; two different angles determine A and B.
         design = np.column_stack([np.cos(theta), np.sin(theta)])
         base = self.nominal
@@ -319,7 +314,7 @@ class PlanarTurn(Measurement):
         elif len(theta):
             # One angle gives only the start angle: the mean of shown plus declared angles.
             base[0] = mean_direction(shown[declared] + theta)
-        attitude = np.where(declared, 0.0, wrap_radians(shown - base[0] - turn_rad))
+        attitude = np.where(declared, 0.0, wrap_radians(shown - base[0]))
         return base, attitude
 
     def ideal(self, base: Floats, attitude: Floats, turn_rad: Floats) -> Floats:
@@ -407,9 +402,7 @@ class FreeAttitude(Measurement):
     axes = 3
     freedom = 2
 
-    def begin(
-        self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
-    ) -> tuple[Floats, Floats]:
+    def begin(self, reading: Floats, angle_rad: Floats, conditions: Conditions) -> tuple[Floats, Floats]:
         """Return starting values of the base parameters (6,) and of the unit vectors of gravity (n, 3).
 
         The gains of all axes are equal, and the skews are 0.
@@ -651,17 +644,14 @@ class JointMeasurement(Measurement):
         """Return the quantity (n, axes) that the scale factors multiply, as a fraction of `full`."""
         return self.models[0].stimulus(ideal, conditions)
 
-    def begin(
-        self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
-    ) -> tuple[Floats, Floats]:
+    def begin(self, reading: Floats, angle_rad: Floats, conditions: Conditions) -> tuple[Floats, Floats]:
         """Return starting values of the base parameters (p,) and of the attitude of each dwell.
 
         A parameter common to several sessions has the mean of the starting values of these sessions.
         """
         total, count, attitudes = np.zeros(len(self.parameters)), np.zeros(len(self.parameters)), []
         for model, rows, own in self._each:
-            some = reading[rows], turn_rad[rows], declared[rows], conditions.rows(rows)
-            base, attitude = model.begin(*some)
+            base, attitude = model.begin(reading[rows], angle_rad[rows], conditions.rows(rows))
             total[own] += base
             count[own] += 1
             attitudes.append((rows, attitude))
@@ -756,9 +746,7 @@ class MeanRate(Measurement):
             return super().by_pose(conditions)
         return np.asarray(~conditions.rate_dps.any(axis=1))
 
-    def begin(
-        self, reading: Floats, turn_rad: Floats, declared: NDArray[np.bool_], conditions: Conditions
-    ) -> tuple[Floats, Floats]:
+    def begin(self, reading: Floats, angle_rad: Floats, conditions: Conditions) -> tuple[Floats, Floats]:
         """Return starting values in °/s: mean reading at rest as zero rates (3,), and true rates (n, 3)."""
         rate = np.zeros_like(reading) if conditions.rate_dps is None else conditions.rate_dps
         # Readings at rest show the zero rates; without rest, subtract the true rates.

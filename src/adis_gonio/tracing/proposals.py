@@ -491,8 +491,7 @@ def _predict(
     cut off at ±`FAR`.
     """
     imagined = _imagined(data, options, before)
-    declared = np.isfinite(imagined.angle_rad)
-    _, attitude = imagined.model.begin(imagined.mean, imagined.turn_rad, declared, imagined.conditions)
+    _, attitude = imagined.model.begin(imagined.mean, imagined.angle_rad, imagined.conditions)
     fits = [
         Fit(imagined, h.fit.terms, replace(h.fit.values, attitude=attitude), h.fit.with_prior)
         for h in hypotheses

@@ -102,9 +102,7 @@ class Fit:
 
         `with_prior` adds the prior that keeps parameters near values that sensors have.
         """
-        base, attitude = data.model.begin(
-            data.mean, data.turn_rad, np.isfinite(data.angle_rad), data.conditions
-        )
+        base, attitude = data.model.begin(data.mean, data.angle_rad, data.conditions)
         return cls(data, (), Values(base, attitude), with_prior)
 
     def with_terms(self, terms: Sequence[Term], values: Sequence[Floats]) -> Fit:
@@ -628,7 +626,7 @@ class Fit:
 
     def _placed_on(self, data: Readings) -> Fit:
         model = data.model
-        _, attitude = model.begin(data.mean, data.turn_rad, np.isfinite(data.angle_rad), data.conditions)
+        _, attitude = model.begin(data.mean, data.angle_rad, data.conditions)
         if model.planar:
             # Start an undeclared dwell at the angle of its reading, a declared one at its declared angle.
             shown = np.arctan2(data.mean[:, 1], data.mean[:, 0]) - model.start_rad(self.values.base)
