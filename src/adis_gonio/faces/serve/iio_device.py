@@ -391,6 +391,17 @@ class SensorState:
     sens_avg: int
 
 
+_FILTER = "filter_low_pass_3db_frequency"
+_BIASED = ("raw", "scale", "calibbias", _FILTER, f"{_FILTER}_available")
+_ATTRIBUTES = {
+    register_table.Kind.ACCEL: _BIASED,
+    register_table.Kind.GYRO: _BIASED,
+    register_table.Kind.TEMPERATURE: ("raw", "scale", "offset"),
+    register_table.Kind.SUPPLY: ("raw", "scale"),
+}
+"""Names of the attributes of a channel, by the kind of its register."""
+
+
 @dataclass(frozen=True)
 class Channel:
     """An IIO channel of the served device: an output register, or the time of a scan.
@@ -399,52 +410,37 @@ class Channel:
     ----------
     index : int
         Index of the channel in a scan, and its bit in a mask of channels.
+    id : str
+        Name of the channel in requests, such as `accel_x`.
+    dtype : str
+        Numpy type of a sample of the channel, such as `<i2`.
+    format : str
+        Format of a sample in IIO's notation, such as `le:s14/16>>0`. The sign of a sample is already
+        extended to 16 bits.
     register : Register or None
         Output register; None for the time.
+    attributes : tuple of str
+        Names of the channel's attributes.
     """
 
     index: int
-    register: register_table.Register | None
+    id: str
+    dtype: str
+    format: str
+    register: register_table.Register | None = None
+    attributes: tuple[str, ...] = ()
 
-    @property
-    def id(self) -> str:
-        """Name of the channel in requests, such as `accel_x`."""
-        return "timestamp" if self.register is None else _IDS[self.register.name]
+    @classmethod
+    def of(cls, index: int, row: register_table.Register) -> Channel:
+        """Return the channel of an output register, with this index in a scan."""
+        dtype, letter = ("<i2", "s") if row.signed else ("<u2", "u")
+        sample = f"le:{letter}{row.bits}/16>>0"
+        return cls(index, _IDS[row.name], dtype, sample, row, _ATTRIBUTES[row.kind])
 
     @property
     def label(self) -> str:
         """Suffix that file names of the Linux kernel add to the channel's name; empty for most channels."""
-        return {"SUPPLY_OUT": "supply"}.get(self.register.name, "") if self.register else ""
-
-    @property
-    def format(self) -> str:
-        """Format of a sample in IIO's notation, such as `le:s14/16>>0`.
-
-        The sign of a sample is already extended to 16 bits.
-        """
-        if self.register is None:
-            return "le:S64/64>>0"
-        return f"le:{'s' if self.register.signed else 'u'}{self.register.bits}/16>>0"
-
-    @property
-    def dtype(self) -> str:
-        """Numpy type of a sample of the channel, such as `<i2`."""
-        if self.register is None:
-            return "<i8"
-        return "<i2" if self.register.signed else "<u2"
-
-    @property
-    def attributes(self) -> tuple[str, ...]:
-        """Names of the channel's attributes."""
-        if self.register is None:
-            return ()
-        names = ["raw", "scale"]
-        if self.register.kind is register_table.Kind.TEMPERATURE:
-            names.append("offset")
-        if self.register.kind in (register_table.Kind.ACCEL, register_table.Kind.GYRO):
-            names += ["calibbias", "filter_low_pass_3db_frequency"]
-            names.append("filter_low_pass_3db_frequency_available")
-        return tuple(names)
+        return "supply" if self.id == "voltage0" else ""
 
     def filename(self, attribute: str) -> str:
         """Return the name of the file in which the Linux kernel would have an attribute of the channel.
@@ -458,7 +454,7 @@ class Channel:
 
 
 DEVICE_ATTRIBUTES = ("sampling_frequency", "sampling_frequency_available", "current_timestamp_clock")
-WRITABLE = ("calibbias", "filter_low_pass_3db_frequency", "sampling_frequency")
+WRITABLE = ("calibbias", _FILTER, "sampling_frequency")
 """Names of the attributes that a client may write if writes are allowed."""
 
 
@@ -476,8 +472,8 @@ class ServedDevice:
     def __init__(self, part: register_table.Variant, description: str) -> None:
         self.part = part
         self.description = description
-        rows = (*register_table.registers(DEFAULT_SCAN), None)
-        self.channels = tuple(Channel(k, row) for k, row in enumerate(rows))
+        outputs = [Channel.of(*one) for one in enumerate(register_table.registers(DEFAULT_SCAN))]
+        self.channels = (*outputs, Channel(len(outputs), "timestamp", "<i8", "le:S64/64>>0"))
 
     def require(self, device: str) -> None:
         """Raise `Refused` if `device` is neither the id nor the name of this device."""
