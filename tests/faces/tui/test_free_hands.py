@@ -114,9 +114,9 @@ def test_the_result_of_a_withdrawn_dwell_is_not_shown_any_longer():
     state = BenchState()
     for event in THREE:
         state.take(event)
-    assert state.running is not None
+    assert state.latest(events.Running) is not None
     state.take(events.Withdrawn(2, PLAN.positions[2]))
-    assert state.running is None
+    assert state.latest(events.Running) is None
 
 
 def test_the_message_of_a_guard_is_said_once(capsys, monkeypatch):

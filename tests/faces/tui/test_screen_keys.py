@@ -335,7 +335,7 @@ class Headless(bench_screen.BenchApp):
 @pytest.fixture
 def headless(monkeypatch):
     monkeypatch.setattr("adis_gonio.faces.tui.bench_screen.BenchApp", Headless)
-    monkeypatch.setattr("adis_gonio.faces.tui.bench_screen.remember", lambda state: None)
+    monkeypatch.setattr("adis_gonio.faces.tui.bench_screen.remember", lambda *_: None)
 
 
 @pytest.mark.usefixtures("headless")

@@ -340,7 +340,7 @@ class BenchApp(App[None]):
             self._news_s = time.monotonic()
             self.state.take(event)
             if isinstance(event, events.Started) and event.resumed:
-                remember(self.state)
+                remember(self.state, event.path)
         self.state.reversed = self._runner.reversed
         self.show()
         if ended:
@@ -586,11 +586,12 @@ def run_screen(runner: SessionRunner, resume_by: str, hands: Hands | None = None
         ) from app.crash
     if app.error is not None:
         raise app.error
-    return app.state.finished is not None and app.state.finished.complete
+    finished = app.state.latest(events.Finished)
+    return finished is not None and finished.complete
 
 
-def remember(state: BenchState) -> None:
-    """Mark the positions of a resumed session that earlier runs have done or skipped."""
-    with ArchiveView(state.path) as view:
+def remember(state: BenchState, path: str) -> None:
+    """Mark the positions of a resumed session (`path`) that earlier runs have done or skipped."""
+    with ArchiveView(path) as view:
         done = [attempt.place for attempt in view.dwells()]
         state.remember(done, view.skipped())

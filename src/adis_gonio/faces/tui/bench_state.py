@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 from enum import Enum
-from functools import singledispatchmethod
+from typing import TypeVar
 
 from adis_gonio.base.arrays import wrap_degrees
 from adis_gonio.base.numbers import counted
@@ -14,8 +14,22 @@ from adis_gonio.faces import bench_words as words
 from adis_gonio.faces.bench_words import Level, Question
 from adis_gonio.record.plans import Plan, Position
 
+E = TypeVar("E", bound=events.Event)
+
 LEAST_SIZE = (80, 24)
 """Smallest terminal, in columns and rows, on which the screen works."""
+_GOING_ON = (
+    events.PositionAsked | events.GuardRaised | events.ExtensionOffered | events.Watching | events.Waiting
+    | events.DwellProgress | events.DwellDone | events.DwellInterrupted | events.Advising | events.Paused
+    | events.Finished
+)  # fmt: skip
+"""Events that end an earlier question, progress or pause; `Watching` only if the session is not idle."""
+_DOING = {
+    "measuring": "measuring the noise at rest",
+    "moving": "waiting for rest",
+    "settling": "still; settling",
+}
+"""Activity by the state of `Watching`; during a question (`idle`) the activity stays."""
 
 
 class Mark(Enum):
@@ -49,8 +63,6 @@ class BenchState:
 
     Attributes
     ----------
-    path, url, variant : str
-        File, sensor and its variant; empty until the session is open.
     plan : Plan or None
         Plan of the session; None until it is open.
     marks : dict of int to Mark
@@ -75,20 +87,10 @@ class BenchState:
         the largest ratio of spread to limit; None if unknown.
     waits_for : str
         Event for which the session waits, as text.
-    turn : TurnMeasured or None
-        The last turn between positions; None before the first.
-    running : Running or None
-        Parameters from the dwells so far; None before the first fit.
     temperature_c, began_c : float or None
         Temperature now, and the first measured temperature, in °C; None if not measured.
     lost : int
         Scans lost so far.
-    rate_hz : float or None
-        Sample rate; None until the sensor is configured.
-    link : str
-        Way in which scans are started, as text.
-    time_left_s : float or None
-        Remaining time in s when the last position was asked for; None before.
     paused : bool
         True during a pause.
     quiet : bool
@@ -103,12 +105,10 @@ class BenchState:
         True if the session counts turns in the direction opposite to the stage's scale.
     messages : list of (str, str)
         Messages for the operator with their levels, `said` or `warned`, the newest last.
-    finished : Finished or None
-        Event of the session's end; None before.
     """
 
     def __init__(self) -> None:
-        self.path = self.url = self.variant = ""
+        self._latest: dict[type[events.Event], events.Event] = {}
         self.plan: Plan | None = None
         self.marks: dict[int, Mark] = {}
         self.place: int | None = None
@@ -121,23 +121,18 @@ class BenchState:
         self.spread_mg: float | None = None
         self.limit_mg: float | None = None
         self.waits_for = ""
-        self.turn: events.TurnMeasured | None = None
-        self.running: events.Running | None = None
         self.temperature_c: float | None = None
         self.began_c: float | None = None
         self.lost = 0
-        self.rate_hz: float | None = None
-        self.link = ""
-        self.time_left_s: float | None = None
-        self.paused = False
-        self.quiet = False
-        self.hands = False
-        self.zero_known = False
+        self.paused = self.quiet = self.hands = self.zero_known = self.reversed = False
         self.here: Position | None = None
         self._turned_deg: float | None = None
-        self.reversed = False
         self.messages: list[tuple[str, Level]] = []
-        self.finished: events.Finished | None = None
+
+    def latest(self, kind: type[E]) -> E | None:
+        """Return the latest event of a kind; None before the first, and after it was withdrawn."""
+        event = self._latest.get(kind)
+        return event if isinstance(event, kind) else None
 
     @property
     def position(self) -> Position | None:
@@ -196,70 +191,76 @@ class BenchState:
 
     def take(self, event: events.Event) -> None:
         """Update the state and the messages by an event of the runner."""
-        self._take(event)
+        self._latest[type(event)] = event
+        idle = isinstance(event, events.Watching) and event.state == "idle"
+        if isinstance(event, _GOING_ON) and not idle:
+            self.question, self.span, self.paused, self.quiet = None, None, False, False
+        self._follow_session(event)
+        self._follow_position(event)
         # The first lines of a session are in the title and at the side.
         if not isinstance(event, events.Started | events.Configured):
             for text, level in words.lines_about(event):
                 self.say(text, level)
 
-    @singledispatchmethod
-    def _take(self, event: events.Event) -> None:
-        """Update the state by an event; an event without a method of its own changes nothing."""
+    def _follow_session(self, event: events.Event) -> None:
+        """Update the state by an event about the whole session; other events change nothing."""
+        match event:
+            case events.Started():
+                self.plan, self.doing = event.plan, "setting up the sensor"
+            case events.Configured():
+                for name, (before, after) in event.changed.items():
+                    self.say(f"register {name} {before} → {after}")
+            case events.StageMoved():
+                self.doing = f"the stage has gone to {event.position}"
+            case events.Advising():
+                self.place, self.quiet, self.waits_for = None, True, ""
+                self.doing = f"tracing {counted(event.dwells, 'dwell')}"
+            case events.Paused():
+                self.paused = self.quiet = True
+                # Turns during the pause are not counted.
+                self.angle_deg = self.spread_mg = self._turned_deg = None
+                self.doing = "paused"
+            case events.Unpaused():
+                self.paused, self.doing = False, "going on"
+            case events.Finished():
+                self.place, self.quiet = None, True
+                self.doing = "complete" if event.complete else "not complete"
 
-    @_take.register
-    def _(self, event: events.Started) -> None:
-        self.path, self.url, self.variant = event.path, event.url, event.variant
-        self.plan = event.plan
-        self.doing = "setting up the sensor"
-
-    @_take.register
-    def _(self, event: events.Configured) -> None:
-        self.rate_hz = float(event.configuration["sample_rate_hz"])
-        self.link = event.why_polled and f"polled: {event.why_polled}"
-        self.link = self.link or "at the data-ready edges"
-        for name, (before, after) in event.changed.items():
-            self.say(f"register {name} {before} → {after}")
-
-    @_take.register
-    def _(self, event: events.PositionAsked) -> None:
-        self._ask(event)
-        self.time_left_s = event.time_left_s
-        self.target_deg = event.position.angle_deg
-
-    @_take.register
-    def _(self, event: events.GuardRaised | events.ExtensionOffered) -> None:
-        self._ask(event)
-
-    def _ask(self, question: Question) -> None:
-        self._go_on()
-        self.question = question
-        self.place = None if isinstance(question, events.ExtensionOffered) else question.place
-        self.doing, self.waits_for = "waiting for you", "your answer"
-
-    @_take.register
-    def _(self, event: events.StageMoved) -> None:
-        self.doing = f"the stage has gone to {event.position}"
-
-    @_take.register
-    def _(self, event: events.Watching) -> None:
-        self._look(event)
-        self.lost = event.lost
-        if event.state == "idle":
-            return
-        self._go_on()
-        activities = {"measuring": "measuring the noise at rest", "moving": "waiting for rest"}
-        self.doing = activities.get(event.state, "still; settling")
-
-    @_take.register
-    def _(self, event: events.DwellProgress) -> None:
-        self._look(event.newest)
-        self.tolerance_deg = None
-        self._go_on()
-        self.place = event.place
-        self.doing = "recording"
-        self.span = Span("dwell", event.elapsed_s, event.length_s)
+    def _follow_position(self, event: events.Event) -> None:
+        """Update the state by an event about a position of the plan; other events change nothing."""
+        match event:
+            case events.PositionAsked() | events.GuardRaised() | events.ExtensionOffered():
+                self.question = event
+                self.place = None if isinstance(event, events.ExtensionOffered) else event.place
+                self.doing, self.waits_for = "waiting for you", "your answer"
+                if isinstance(event, events.PositionAsked):
+                    self.target_deg = event.position.angle_deg
+            case events.Watching():
+                self._look(event)
+                self.doing = _DOING.get(event.state, self.doing)
+            case events.DwellProgress():
+                self._look(event.newest)
+                self.tolerance_deg = None
+                self.place, self.doing = event.place, "recording"
+                self.span = Span("dwell", event.elapsed_s, event.length_s)
+            case events.Waiting():
+                self.place, self.doing = event.place, "waiting, as the plan asks"
+                self.span = Span("wait", event.elapsed_s, event.length_s)
+            case events.DwellDone():
+                self.marks[event.place] = Mark.FAULTY if event.alarms else Mark.DONE
+                self.here, self._turned_deg = event.position, event.position.angle_deg
+                self.zero_known |= event.position.angle_deg is not None
+                self.place, self.doing = None, f"{event.position} is done"
+            case events.DwellInterrupted():
+                self.here = self._turned_deg = None
+            case events.Problem() if event.kind in ("status", "alarm"):
+                self.marks[event.place] = Mark.FAULTY
+            case events.Withdrawn():
+                self.marks[event.place] = Mark.WITHDRAWN
+                self._latest.pop(events.Running, None)
 
     def _look(self, event: events.Watching) -> None:
+        self.lost = event.lost
         self.angle_deg = event.angle_deg
         if event.angle_deg is not None and self._turned_deg is not None:
             # The live angle is known up to whole turns and moves by less than 180° from event to event;
@@ -277,75 +278,3 @@ class BenchState:
             return
         pairs = zip(event.spread_mg, event.limit_mg, strict=True)
         self.spread_mg, self.limit_mg = max(pairs, key=lambda pair: pair[0] / pair[1])
-
-    def _go_on(self) -> None:
-        self.question, self.span, self.paused, self.quiet = None, None, False, False
-
-    @_take.register
-    def _(self, event: events.Waiting) -> None:
-        self._go_on()
-        self.place = event.place
-        self.doing = "waiting, as the plan asks"
-        self.span = Span("wait", event.elapsed_s, event.length_s)
-
-    @_take.register
-    def _(self, event: events.Advising) -> None:
-        self._go_on()
-        self.place = None
-        self.quiet = True
-        self.waits_for = ""
-        self.doing = f"tracing {counted(event.dwells, 'dwell')}"
-
-    @_take.register
-    def _(self, event: events.DwellDone) -> None:
-        self._go_on()
-        self.marks[event.place] = Mark.FAULTY if event.alarms else Mark.DONE
-        self.here = event.position
-        self._turned_deg = event.position.angle_deg
-        self.zero_known |= event.position.angle_deg is not None
-        self.place = None
-        self.doing = f"{event.position} is done"
-
-    @_take.register
-    def _(self, event: events.DwellInterrupted) -> None:
-        self._go_on()
-        self.here = self._turned_deg = None
-
-    @_take.register
-    def _(self, event: events.Problem) -> None:
-        if event.kind in ("status", "alarm"):
-            self.marks[event.place] = Mark.FAULTY
-
-    @_take.register
-    def _(self, event: events.TurnMeasured) -> None:
-        self.turn = event
-
-    @_take.register
-    def _(self, event: events.Running) -> None:
-        self.running = event
-
-    @_take.register
-    def _(self, event: events.Paused) -> None:
-        self._go_on()
-        self.paused = self.quiet = True
-        # Turns during the pause are not counted.
-        self.angle_deg = self.spread_mg = self._turned_deg = None
-        self.doing = "paused"
-
-    @_take.register
-    def _(self, event: events.Unpaused) -> None:
-        self.paused = False
-        self.doing = "going on"
-
-    @_take.register
-    def _(self, event: events.Withdrawn) -> None:
-        self.marks[event.place] = Mark.WITHDRAWN
-        self.running = None
-
-    @_take.register
-    def _(self, event: events.Finished) -> None:
-        self._go_on()
-        self.place = None
-        self.quiet = True
-        self.finished = event
-        self.doing = "complete" if event.complete else "not complete"

@@ -58,12 +58,13 @@ def large_angle(value_deg: float | None, scale: int = 1) -> list[str]:
 
 def title(state: BenchState) -> str:
     """Return the first line of the screen: plan, positions done, remaining time, sensor and file."""
-    if state.plan is None:
+    begun, asked = state.latest(events.Started), state.latest(events.PositionAsked)
+    if state.plan is None or begun is None:
         return "adis-gonio"
     total = len(state.plan)
     settled = sum(state.mark(place) in _SETTLED for place in range(total))
-    remaining = "" if state.time_left_s is None else f", about {format_duration(state.time_left_s)} left"
-    return f"{state.plan.name}: {settled} of {total} done{remaining} · {state.variant} · {state.path}"
+    remaining = "" if asked is None else f", about {format_duration(asked.time_left_s)} left"
+    return f"{state.plan.name}: {settled} of {total} done{remaining} · {begun.variant} · {begun.path}"
 
 
 def _place_name(position: Position) -> str:
@@ -194,7 +195,8 @@ def _bar(share: float, width: int) -> str:
 
 def facts(state: BenchState) -> list[tuple[str, str]]:
     """Return the rows (name, value) that the screen shows below the angle."""
-    return [("last turn", words.turn_text(state.turn)), ("result", _running(state.running))]
+    turn = words.turn_text(state.latest(events.TurnMeasured))
+    return [("last turn", turn), ("result", _running(state.latest(events.Running)))]
 
 
 def _running(running: events.Running | None) -> str:
@@ -230,9 +232,12 @@ def surroundings(state: BenchState, width: int, silence_s: float = 0.0) -> list[
         lines = [f"{state.temperature_c:.1f} °C, {drift} K since begin"]
     if silence_s >= SILENT_S and not state.quiet:
         lines.append(f"NO NEWS for {format_duration(silence_s)}")
-    if state.rate_hz is not None:
-        lines += [f"{state.lost} scans lost, {state.rate_hz:.4g}/s", state.link]
-    url = state.url
+    begun, configured = state.latest(events.Started), state.latest(events.Configured)
+    if configured is not None:
+        lines.append(f"{state.lost} scans lost, {configured.configuration['sample_rate_hz']:.4g}/s")
+        polled = f"polled: {configured.why_polled}" if configured.why_polled else ""
+        lines.append(polled or "at the data-ready edges")
+    url = "" if begun is None else begun.url
     return [*lines, url if len(url) <= width else f"{url[: max(0, width - 1)]}…"]
 
 
