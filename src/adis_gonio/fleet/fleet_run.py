@@ -196,7 +196,7 @@ def check_outputs(paths: Sequence[Path], files: Sequence[str]) -> None:
         if str(path) in files:
             raise UsageError(f"{path}: is one of the sessions; name another file")
         if path.suffix.lower() == ".parquet":
-            from adis_gonio.fleet.session_record import require_pyarrow
+            from adis_gonio.handover.session_export import require_pyarrow
 
             require_pyarrow()
         elif path.suffix.lower() == ".html":

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from adis_gonio.base import __version__
-from adis_gonio.base.errors import AdisGonioError, NotInstalledError, install_extra
+from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.uncertainty import Value, finite_or_none
 from adis_gonio.record.provenance import digest_of_file, provenance_of
@@ -435,21 +435,6 @@ COLUMNS: dict[str, tuple[Kind, str, str]] = {**_FACTS, **_of_quantities()}
 """Kind, unit and meaning of each column of the table, in order."""
 
 
-def require_pyarrow() -> Any:
-    """Import pyarrow and return the module.
-
-    Raises
-    ------
-    NotInstalledError
-        pyarrow is not installed.
-    """
-    try:
-        import pyarrow.parquet
-    except ImportError:
-        raise NotInstalledError(f"Parquet needs pyarrow: {install_extra('fleet')}") from None
-    return pyarrow
-
-
 def write_parquet(rows: Sequence[Row], path: str | Path, about: Mapping[str, Any]) -> None:
     """Write rows to a Parquet file.
 
@@ -463,6 +448,8 @@ def write_parquet(rows: Sequence[Row], path: str | Path, about: Mapping[str, Any
     OSError
         The file cannot be written.
     """
+    from adis_gonio.handover.session_export import require_pyarrow, write_table
+
     pa = require_pyarrow()
     kinds = {
         "text": pa.string(),
@@ -472,12 +459,8 @@ def write_parquet(rows: Sequence[Row], path: str | Path, about: Mapping[str, Any
         "names": pa.list_(pa.string()),
         "numbers": pa.list_(pa.float64()),
     }
-    fields = [
-        pa.field(name, kinds[kind], metadata={"unit": unit, "meaning": meaning})
+    columns = {
+        name: ([row[name] for row in rows], kinds[kind], {"unit": unit, "meaning": meaning})
         for name, (kind, unit, meaning) in COLUMNS.items()
-    ]
-    schema = pa.schema(
-        fields, metadata={"adis_gonio": json.dumps(about, ensure_ascii=False, sort_keys=True)}
-    )
-    arrays = [pa.array([row[field.name] for row in rows], field.type) for field in schema]
-    pa.parquet.write_table(pa.table(arrays, schema=schema), path, compression="zstd")
+    }
+    write_table(path, columns, about)

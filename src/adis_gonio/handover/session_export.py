@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -35,6 +36,44 @@ ROWS = 100_000
 """Number of rows of a row group of a Parquet file."""
 
 
+def require_pyarrow() -> Any:
+    """Import pyarrow and return the module.
+
+    Raises
+    ------
+    NotInstalledError
+        pyarrow is not installed.
+    """
+    try:
+        import pyarrow.parquet
+    except ImportError:
+        raise NotInstalledError(f"Parquet needs pyarrow: {install_extra('parquet')}") from None
+    return pyarrow
+
+
+def write_table(
+    path: str | Path, columns: Mapping[str, tuple[Any, Any, dict[str, str]]], about: Mapping[str, Any]
+) -> None:
+    """Write a Parquet file.
+
+    `columns` has the values, the type of pyarrow and the metadata of each column by its name; None and NaN
+    become null. `about` is the metadata `adis_gonio` of the file, as JSON.
+
+    Raises
+    ------
+    NotInstalledError
+        pyarrow is not installed.
+    OSError
+        The file cannot be written.
+    """
+    pa = require_pyarrow()
+    fields = [pa.field(name, kind, metadata=more) for name, (_, kind, more) in columns.items()]
+    schema = pa.schema(fields, metadata={"adis_gonio": json.dumps(about, ensure_ascii=False)})
+    arrays = [pa.array(values, kind, from_pandas=True) for values, kind, _ in columns.values()]
+    table = pa.table(arrays, schema=schema)
+    pa.parquet.write_table(table, path, compression="zstd", row_group_size=ROWS)
+
+
 def write_parquet(session: Session, path: str | Path) -> None:
     """Write all samples of a session to a Parquet file; missing values are null.
 
@@ -51,30 +90,14 @@ def write_parquet(session: Session, path: str | Path) -> None:
     OSError
         The file cannot be written.
     """
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError:
-        raise NotInstalledError(f"Parquet needs pyarrow: {install_extra('parquet')}") from None
-    columns = session.columns()
-    units = {name: _unit(session, name) for name in columns}
-    schema = pa.schema(
-        [
-            pa.field(name, _type(pa, name), metadata={"unit": unit} if unit else None)
-            for name, unit in units.items()
-        ],
-        metadata={"adis_gonio": json.dumps(session_dict(session), ensure_ascii=False)},
-    )
-    arrays = [
-        pa.array(np.concatenate(parts), _type(pa, name), from_pandas=True)
-        for name, parts in columns.items()
-    ]
-    pq.write_table(pa.table(arrays, schema=schema), path, compression="zstd", row_group_size=ROWS)
-
-
-def _type(pa: Any, name: str) -> Any:
+    pa = require_pyarrow()
     kinds = {"position": pa.int64(), "approach": pa.int8(), "use": pa.string()}
-    return kinds.get(name, pa.float64())
+    columns = {}
+    for name, parts in session.columns().items():
+        unit = _unit(session, name)
+        about = {"unit": unit} if unit else {}
+        columns[name] = (np.concatenate(parts), kinds.get(name, pa.float64()), about)
+    write_table(path, columns, session_dict(session))
 
 
 def _unit(session: Session, name: str) -> str:
