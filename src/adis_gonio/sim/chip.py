@@ -52,8 +52,6 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, EA, GYRO_OFF, ND, Variant, variant
 from adis_gonio.sim import memory as chip_memory, sampling
 
-_MISC = BY_NAME["MSC_CTRL"]
-_ALARM = BY_NAME["ALM_CTRL"]
 _GPIO = BY_NAME["GPIO_CTRL"]
 
 
@@ -69,15 +67,17 @@ def dio_levels(memory: chip_memory.Memory, *, pulse: bool, status: int) -> tuple
     status : int
         Content of STATUS; an alarm output follows its alarm bits, supposedly until STATUS is read.
     """
-    gpio, alarm, misc = memory["GPIO_CTRL"], memory["ALM_CTRL"], memory["MSC_CTRL"]
     result: list[int | None] = [
-        _GPIO.field(f"level{k}").of(gpio) if _GPIO.field(f"output{k}").of(gpio) else None for k in (1, 2)
+        memory.field("GPIO_CTRL", f"level{k}") if memory.field("GPIO_CTRL", f"output{k}") else None
+        for k in (1, 2)
     ]
-    if _ALARM.field("output").of(alarm):
+    if memory.field("ALM_CTRL", "output"):
         active = bool(status & (sampling.ALARM_BITS[0] | sampling.ALARM_BITS[1]))
-        result[_ALARM.field("line").of(alarm)] = int(active == bool(_ALARM.field("polarity").of(alarm)))
-    if _MISC.field("data_ready").of(misc):
-        result[_MISC.field("line").of(misc)] = int(pulse == bool(_MISC.field("polarity").of(misc)))
+        line, polarity = memory.field("ALM_CTRL", "line"), memory.field("ALM_CTRL", "polarity")
+        result[line] = int(active == bool(polarity))
+    if memory.field("MSC_CTRL", "data_ready"):
+        line, polarity = memory.field("MSC_CTRL", "line"), memory.field("MSC_CTRL", "polarity")
+        result[line] = int(pulse == bool(polarity))
     return result[0], result[1]
 
 
@@ -229,7 +229,7 @@ class SimulatedChip:
     @property
     def data_ready_enabled(self) -> bool:
         """True if DIO1 or DIO2 carries the data-ready pulse."""
-        return bool(_MISC.field("data_ready").of(self.memory["MSC_CTRL"]))
+        return bool(self.memory.field("MSC_CTRL", "data_ready"))
 
     @property
     def pending_reply(self) -> int:
@@ -271,8 +271,7 @@ class SimulatedChip:
 
         It is negative if the edge comes before the update.
         """
-        high = bool(BY_NAME["MSC_CTRL"].field("polarity").of(self.memory["MSC_CTRL"]))
-        begins = high == rising
+        begins = bool(self.memory.field("MSC_CTRL", "polarity")) == rising
         at_first = 0.0 if self._update_edge == "first" else -self._pulse_s
         return at_first if begins else at_first + self._pulse_s
 

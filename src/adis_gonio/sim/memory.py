@@ -127,6 +127,10 @@ class Memory:
         row = BY_ADDRESS.get(address & ~1)
         return self._words[row.name] if row is not None and row.readable else 0
 
+    def field(self, name: str, field: str) -> int:
+        """Return the number in a field of a register, both given by name."""
+        return BY_NAME[name].field(field).of(self._words[name])
+
     def write_byte(self, address: int, data: int) -> Register | None:
         """Write one byte of a register: the low byte at its even address, the high byte at the odd one.
 

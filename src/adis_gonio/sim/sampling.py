@@ -241,15 +241,9 @@ class SignalChain:
 
     def configure(self, memory: Memory) -> None:
         """Read the settings from the registers; empty the filter if gyro range or filter size changed."""
-        code = registers.BY_NAME["SENS_AVG"].field("range").of(memory["SENS_AVG"])
+        code = memory.field("SENS_AVG", "range")
         gyro_range = next((dps for dps, known in registers.RANGE_CODE.items() if known == code), 300)
-        m = min(
-            max(
-                registers.BY_NAME["SENS_AVG"].field("m").of(memory["SENS_AVG"]),
-                registers.LEAST_M[gyro_range],
-            ),
-            MOST_M,
-        )
+        m = min(max(memory.field("SENS_AVG", "m"), registers.LEAST_M[gyro_range]), MOST_M)
         if (gyro_range, m) != (self.gyro_range_dps, self.m):
             self.clear()
         self.gyro_range_dps, self.m = gyro_range, m
@@ -263,12 +257,11 @@ class SignalChain:
         for k, name in enumerate(registers.ACCEL_OFF):
             offset[ACCEL_COLUMNS.start + k] = registers.BY_NAME[name].number(memory[name]) * _ONE
         self._offset = offset
-        misc = registers.BY_NAME["MSC_CTRL"]
-        msc_ctrl = memory["MSC_CTRL"]
-        sign = misc.field("positive").of(msc_ctrl) - misc.field("negative").of(msc_ctrl)
-        self._manual_test = float(sign)
-        self._compensate = bool(misc.field("linear_g").of(msc_ctrl))
-        self._align = bool(misc.field("origin").of(msc_ctrl))
+        self._manual_test = float(
+            memory.field("MSC_CTRL", "positive") - memory.field("MSC_CTRL", "negative")
+        )
+        self._compensate = bool(memory.field("MSC_CTRL", "linear_g"))
+        self._align = bool(memory.field("MSC_CTRL", "origin"))
         self._gyro_gain = self._electronics.range_gain.get(gyro_range, 1.0)
         self._gyro_limit = self._electronics.gyro_saturation * gyro_range
         self._alarms = _alarms(memory)
@@ -367,29 +360,18 @@ class SignalChain:
 
 
 def _alarms(memory: Memory) -> list[AlarmSetting]:
-    control, word = registers.BY_NAME["ALM_CTRL"], memory["ALM_CTRL"]
     alarms = []
     for k in (1, 2):
-        source = control.field(f"source{k}").of(word)
+        source = memory.field("ALM_CTRL", f"source{k}")
         if not 1 <= source <= len(OUTPUTS):
             continue
-        magnitude = memory[f"ALM_MAG{k}"]
-        row = OUTPUTS[source - 1]
-        rate = bool(control.field(f"rate{k}").of(word))
+        magnitude, row = memory[f"ALM_MAG{k}"], OUTPUTS[source - 1]
+        rate = bool(memory.field("ALM_CTRL", f"rate{k}"))
         data = magnitude & row.data_mask
         signed = row.signed or rate
         threshold = data - (1 << row.bits) if signed and data >> (row.bits - 1) else data
-        samples = memory[f"ALM_SMPL{k}"] & 0xFF if rate else 0
-        if rate and samples == 0:
-            samples = 1
-        alarms.append(
-            AlarmSetting(
-                ALARM_BITS[k - 1],
-                source - 1,
-                bool(magnitude >> 15),
-                threshold,
-                samples,
-                bool(control.field("filtered").of(word)),
-            )
-        )
+        samples = max(memory[f"ALM_SMPL{k}"] & 0xFF, 1) if rate else 0
+        filtered = bool(memory.field("ALM_CTRL", "filtered"))
+        greater = bool(magnitude >> 15)
+        alarms.append(AlarmSetting(ALARM_BITS[k - 1], source - 1, greater, threshold, samples, filtered))
     return alarms
