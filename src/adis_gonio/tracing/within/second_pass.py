@@ -148,13 +148,13 @@ def look_within(samples: Samples) -> tuple[tuple[WithinFinding, ...], dict[str, 
     frozen = faults.stuck(samples, spread, reach)
     wild, samples = faults.spikes(samples, spread, reach)
     moving, samples, density = tones.moving_lines(samples)
-    lines, samples, density = tones.tones(samples, density)
+    steady, samples, density = tones.steady_lines(samples, density)
     change = faults.noise_change(samples, density)
     shared, samples = courses.courses(samples)
     # The scatter differs between dwells on the axes of this finding.
     unlike = [] if change is None else [samples.letters.index(axis) for axis in change.axes]
     single = courses.events(samples, unlike, reach)
-    every = [frozen, wild, *tones.findings_of(moving, samples), *lines, change, *shared, *single]
+    every = [frozen, wild, *tones.findings_of([*moving, *steady], samples), change, *shared, *single]
     shown = {
         "tone": tones.smallest_tone(samples, density),
         "noise_change": faults.smallest_noise_change(samples, density),

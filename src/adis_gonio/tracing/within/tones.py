@@ -96,20 +96,62 @@ class _Peak:
     """Row in `Density.power` of the only dwell with the line; None for a line in all dwells."""
 
 
-def tones(samples: Samples, density: Density | None) -> tuple[list[WithinFinding], Samples, Density | None]:
-    """Find spectral lines; return findings, the samples without the lines, and the remaining noise density.
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A spectral line in some dwells, of constant or of changing frequency.
+
+    Attributes
+    ----------
+    dwells : (k,) int
+        Indices of the dwells that show the line, ascending.
+    axes : list of int
+        Axes that show the line.
+    frequency_hz, u_hz : (k,) float
+        Frequency in Hz at the middle of each dwell, and its standard uncertainty.
+    noise : (k, axes) float
+        Density of the noise near the line in mg² (two-sided, per sample).
+    squares : (k, axes) float
+        Squared amplitude in each dwell in mg².
+    p_value : float
+        p-value of the line, corrected for the number of tests.
+    """
+
+    dwells: NDArray[np.intp]
+    axes: list[int]
+    frequency_hz: Floats
+    u_hz: Floats
+    noise: Floats
+    squares: Floats
+    p_value: float
+
+    @property
+    def moves(self) -> bool:
+        """True if the frequency changes through the session."""
+        return bool(np.ptp(self.frequency_hz) > 0)
+
+    def moves_like(self, other: Line) -> bool:
+        """True if the frequencies of both lines change alike, in at least four dwells that show both."""
+        _, own, others = np.intersect1d(self.dwells, other.dwells, return_indices=True)
+        if len(own) < _LEAST_DWELLS:
+            return False
+        pair = self.frequency_hz[own], other.frequency_hz[others]
+        return bool(min(map(np.ptp, pair)) > 0 and abs(np.corrcoef(*pair)[0, 1]) > _ALIKE)
+
+
+def steady_lines(samples: Samples, density: Density | None) -> tuple[list[Line], Samples, Density | None]:
+    """Find lines of constant frequency; return them, the samples without them, and the remaining density.
 
     `density` is the density of `samples`; it is None if no dwell has the `LEAST_SAMPLES` samples for a
     spectrum.
     """
-    found: list[WithinFinding] = []
+    found: list[Line] = []
     while density is not None and len(found) < MOST:
         peak = _highest(density)
-        line = None if peak is None else _line(samples, density, peak)
+        line = None if peak is None else _steady_line(samples, density, peak)
         if line is None:
             break
-        finding, samples = line
-        found.append(finding)
+        found.append(line[0])
+        samples = line[1]
         density = density_of(samples)
     return found, samples, density
 
@@ -143,8 +185,8 @@ def _highest(density: Density) -> _Peak | None:
     return best if best.p_value < FOUND_WITHIN else None
 
 
-def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFinding, Samples] | None:
-    """Fit a sine near a peak and subtract it; return the finding and the samples without it.
+def _steady_line(samples: Samples, density: Density, peak: _Peak) -> tuple[Line, Samples] | None:
+    """Fit a sine near a peak and subtract it; return the line and the samples without it.
 
     The result is None if the sine is not significant at the real times of the samples.
     """
@@ -183,7 +225,7 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
         chosen = excess.max(axis=1) > -np.log(FOUND_WITHIN / excess.size)
         if not chosen.any():
             return None
-    amplitude, u, stands = line_sizes(squares[chosen], (4 * noise / counts)[chosen], excess[chosen])
+    amplitude, _, stands = line_sizes(squares[chosen], (4 * noise / counts)[chosen])
     axes = [k for k in range(samples.axes) if stands[k]] or [int(np.argmax(excess.sum(axis=0)))]
     if not amplitude[axes].max() > 0:
         return None
@@ -196,33 +238,20 @@ def _line(samples: Samples, density: Density, peak: _Peak) -> tuple[WithinFindin
         return None
     information = float((clear[:, None] * amplitude[axes] ** 2 * counts**3 / (24 * noise[:, axes])).sum())
     u_frequency = 1 / (2 * np.pi * period * np.sqrt(max(information, 1e-300)))
-    positions = tuple(samples.position[dwells[clear]].tolist())
-    if not clear.all():
-        amplitude, u, _ = line_sizes(squares[clear], (4 * noise / counts)[clear], excess[clear])
     values = list(samples.values)
     for k, design, wave in zip(dwells.tolist(), designs, waves, strict=True):
         values[k] = values[k] - design[:, :2] @ wave
-    hertz = Value(frequency, float(u_frequency), "Hz")
-    letters, parameters, sizes = amplitudes_of(samples, axes, amplitude, u)
-    folding = aliases_hz(frequency, 1 / period)
-    finding = WithinFinding(
-        kind="tone",
-        effect="tone",
-        axes=letters,
-        positions=positions,
-        parameters=parameters | {"frequency": hertz},
-        p_value=peak.p_value,
-        sentence=(
-            f"a spectral line at {hertz} (amplitude {sizes}) in "
-            f"{positions_text(positions, len(samples))}{alias_text(folding)}"
-        ),
-        advice=(
-            "find what shakes the table at the line's frequency, or at one that folds to it: record again "
-            "at another rate, where a line of that frequency stays and an alias moves"
-        ),
-        aliases_hz=folding,
+    same = np.ones(int(clear.sum()))
+    line = Line(
+        dwells[clear],
+        axes,
+        frequency * same,
+        u_frequency * same,
+        noise[clear],
+        squares[clear],
+        peak.p_value,
     )
-    return finding, samples.with_values(values)
+    return line, samples.with_values(values)
 
 
 def _dwells_with(density: Density, peak: _Peak) -> list[int]:
@@ -264,11 +293,11 @@ def cosine_and_sine(frequency: float | Floats, time: Floats) -> Floats:
     return np.column_stack([np.cos(turn), np.sin(turn)])
 
 
-def line_sizes(squares: Floats, noise: Floats, excess: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+def line_sizes(squares: Floats, noise: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Return a line's amplitude on each axis (axes,), its standard uncertainty and its significance.
 
-    `squares` (d, axes) are the squared amplitudes in each dwell, `noise` is the mean squared amplitude of
-    noise alone, and `excess` is `squares` divided by `noise`. Noise and a change of the line's strength
+    `squares` (d, axes) are the squared amplitudes in each dwell, and `noise` is the mean squared amplitude
+    of noise alone. Noise and a change of the line's strength
     both appear in the scatter of the squares over dwells.
     """
     d = len(squares)
@@ -282,20 +311,8 @@ def line_sizes(squares: Floats, noise: Floats, excess: Floats) -> tuple[Floats, 
         own = np.maximum(own, spread)
     u = np.sqrt(own) / (2 * np.maximum(amplitude, 1e-300))
     u = np.minimum(u, np.sqrt(np.sqrt(own)))
-    shown = special.gammaincc(d, excess.sum(axis=0)) < 1e-3
+    shown = special.gammaincc(d, (squares / noise).sum(axis=0)) < 1e-3
     return amplitude, u, np.asarray(shown)
-
-
-def amplitudes_of(
-    samples: Samples, axes: Sequence[int], amplitude: Floats, u: Floats
-) -> tuple[tuple[str, ...], dict[str, Value], str]:
-    """Return letters, parameters and a text of a line's amplitudes in mg on some `axes`.
-
-    `amplitude` and `u` are the amplitudes on all axes and their standard uncertainties.
-    """
-    lines = {samples.letters[k]: Value(float(amplitude[k]), float(u[k]), "mg") for k in axes}
-    sizes = ", ".join(f"{letter} {line}" for letter, line in lines.items())
-    return tuple(lines), {f"tone_{letter}": line for letter, line in lines.items()}, sizes
 
 
 PADDING = 2
@@ -645,52 +662,12 @@ _ALIKE = 0.95
 """Least correlation of the frequencies of two lines that change alike."""
 
 
-@dataclass(frozen=True, eq=False)
-class MovingLine:
-    """A spectral line that moves through the session.
-
-    Attributes
-    ----------
-    dwells : (k,) int
-        Indices of the dwells that show the line, ascending.
-    time_s : (k,) float
-        Time in s of the middle of each of these dwells, since the beginning of the session.
-    frequency_hz, u_hz : (k,) float
-        Frequency in Hz at the middle of each dwell, and its standard uncertainty.
-    slope : (k,) float
-        Change of the frequency within each dwell in Hz/s.
-    noise : (k, axes) float
-        Density of the noise near the line in mg² (two-sided, per sample).
-    squares : (k, axes) float
-        Squared amplitude in each dwell in mg².
-    p_value : float
-        Probability that noise has such a greatest height, corrected for the number of tests.
-    """
-
-    dwells: NDArray[np.intp]
-    time_s: Floats
-    frequency_hz: Floats
-    u_hz: Floats
-    slope: Floats
-    noise: Floats
-    squares: Floats
-    p_value: float
-
-    def moves_like(self, other: MovingLine) -> bool:
-        """True if the frequencies of both lines change alike, in at least four dwells that show both."""
-        _, own, others = np.intersect1d(self.dwells, other.dwells, return_indices=True)
-        if len(own) < _LEAST_DWELLS:
-            return False
-        pair = self.frequency_hz[own], other.frequency_hz[others]
-        return bool(min(map(np.ptp, pair)) > 0 and abs(np.corrcoef(*pair)[0, 1]) > _ALIKE)
-
-
-def moving_lines(samples: Samples) -> tuple[list[MovingLine], Samples, Density | None]:
+def moving_lines(samples: Samples) -> tuple[list[Line], Samples, Density | None]:
     """Find lines that move; return them, the samples without these lines, and the density of these samples.
 
     The strongest line is the first. The density is None if no dwell has enough samples for a spectrum.
     """
-    found: list[MovingLine] = []
+    found: list[Line] = []
     density = density_of(samples)
     if density is None or len(density.dwells) < _LEAST_DWELLS:
         return found, samples, density
@@ -779,7 +756,7 @@ def _path(heights: Floats, start: tuple[int, int], each: float, axes: int) -> di
 
 def _fitted(
     samples: Samples, density: Density, noise: Floats, path: dict[int, int], p_value: float
-) -> tuple[MovingLine, Samples]:
+) -> tuple[Line, Samples]:
     """Fit a chirp in each dwell of a path; return the line, and the samples without it."""
     rows, at = np.array(list(path)), np.array(list(path.values()))
     dwells = density.dwells[rows]
@@ -787,8 +764,7 @@ def _fitted(
     rough = density.frequency[at + density.searched.start] / samples.period_s
     slopes = np.gradient(rough, middle)
     values = list(samples.values)
-    fits: list[tuple[float, float, float]] = []
-    squares: list[Floats] = []
+    fits, squares = [], []
     for k, mid, f, s, own in zip(dwells.tolist(), middle, rough, slopes, noise[rows, at], strict=True):
         time = samples.time_s[k] - mid
         chirp = _chirp(time, without_line(values[k]) / np.sqrt(own), float(f), float(s))
@@ -797,8 +773,11 @@ def _fitted(
         values[k] = values[k] - design @ wave
         fits.append(chirp)
         squares.append((wave**2).sum(axis=0))
-    f, s, u = np.array(fits).T
-    line = MovingLine(dwells, middle, f, u, s, noise[rows, at], np.array(squares), p_value)
+    frequency_hz, _, u_hz = np.array(fits).T
+    own = 4 * noise[rows, at] / samples.counts[dwells][:, None]
+    amplitude, _, stands = line_sizes(np.array(squares), own)
+    axes = [k for k in range(samples.axes) if stands[k]] or [int(amplitude.argmax())]
+    line = Line(dwells, axes, frequency_hz, u_hz, noise[rows, at], np.array(squares), p_value)
     return line, samples.with_values(values)
 
 
@@ -829,8 +808,8 @@ def _chirp(time: Floats, rows: Floats, frequency: float, slope: float) -> tuple[
     return *at(best.x), float(u)
 
 
-def findings_of(lines: Sequence[MovingLine], samples: Samples) -> list[WithinFinding]:
-    """Return a finding for each line that moves, and one only for lines that move alike."""
+def findings_of(lines: Sequence[Line], samples: Samples) -> list[WithinFinding]:
+    """Return a finding for each line, and one only for lines that move alike."""
     left, out = list(lines), []
     while left:
         line, *others = left
@@ -840,12 +819,24 @@ def findings_of(lines: Sequence[MovingLine], samples: Samples) -> list[WithinFin
     return out
 
 
-def _finding(line: MovingLine, alike: Sequence[MovingLine], samples: Samples) -> WithinFinding:
-    noise = 4 * line.noise / samples.counts[line.dwells][:, None]
-    amplitude, u, stands = line_sizes(line.squares, noise, line.squares / noise)
-    axes = [k for k in range(samples.axes) if stands[k]] or [int(amplitude.argmax())]
-    letters, parameters, sizes = amplitudes_of(samples, axes, amplitude, u)
+def _finding(line: Line, alike: Sequence[Line], samples: Samples) -> WithinFinding:
+    """Return the finding of a line; `alike` are the weaker lines that move alike."""
+    amplitude, u, _ = line_sizes(line.squares, 4 * line.noise / samples.counts[line.dwells][:, None])
+    sizes = {samples.letters[k]: Value(float(amplitude[k]), float(u[k]), "mg") for k in line.axes}
     first, last = (Value(float(line.frequency_hz[k]), float(line.u_hz[k]), "Hz") for k in (0, -1))
+    frequencies, course = {"frequency": first}, f"at {first}"
+    advice = (
+        "find what shakes the table at the line's frequency, or at one that folds to it: record again at"
+        " another rate, where a line of that frequency stays and an alias moves"
+    )
+    if line.moves:
+        frequencies = {"frequency_first": first, "frequency_last": last}
+        course = f"that moves from {first} to {last}"
+        advice = (
+            "its frequency follows something that changes with time, such as a temperature: record this"
+            " together with the readings, or trace several sessions as one model, which tries the frequency"
+            " as a covariate"
+        )
     positions = tuple(samples.position[line.dwells].tolist())
     folding = aliases_hz(float(np.median(line.frequency_hz)), 1 / samples.period_s)
     others = [format_number(float(one.frequency_hz[0]), 3) for one in alike]
@@ -853,19 +844,16 @@ def _finding(line: MovingLine, alike: Sequence[MovingLine], samples: Samples) ->
     return WithinFinding(
         kind="tone",
         effect="tone",
-        axes=letters,
+        axes=tuple(sizes),
         positions=positions,
-        parameters=parameters | {"frequency_first": first, "frequency_last": last},
+        parameters={f"tone_{letter}": size for letter, size in sizes.items()} | frequencies,
         p_value=line.p_value,
         sentence=(
-            f"a spectral line that moves from {first} to {last} (amplitude {sizes}) in "
-            f"{positions_text(positions, len(samples))}{with_it}{alias_text(folding)}"
+            f"a spectral line {course} (amplitude"
+            f" {', '.join(f'{letter} {size}' for letter, size in sizes.items())}) in"
+            f" {positions_text(positions, len(samples))}{with_it}{alias_text(folding)}"
         ),
-        advice=(
-            "its frequency follows something that changes with time, such as a temperature: record this"
-            " together with the readings, or trace several sessions as one model, which tries the frequency"
-            " as a covariate"
-        ),
+        advice=advice,
         aliases_hz=folding,
     )
 
