@@ -26,13 +26,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, special
 
-from adis_gonio.base.arrays import MAD_TO_SD, Floats
+from adis_gonio.base.arrays import MAD_TO_SD, Floats, robust_sd
 from adis_gonio.base.numbers import format_number
 from adis_gonio.base.uncertainty import FOUND_WITHIN, Detectable, Value
 from adis_gonio.fitting.estimation.screening import LIVELY
@@ -45,7 +45,6 @@ from adis_gonio.tracing.within.samples import (
     WithinFinding,
     axes_and_positions,
     corrected,
-    deviation,
     positions_text,
 )
 
@@ -336,32 +335,19 @@ _CLEAR = 4.0
 Form = Literal["step", "drift", "settling", "disturbance"]
 
 
-@dataclass(frozen=True)
-class _Scale:
-    """The largest difference between the means of neighbouring stretches, for one length of stretch.
+class _Largest(NamedTuple):
+    """The largest differences between the means of neighbouring stretches of a dwell, on each axis.
 
-    The length is a fixed number of samples or, on the last scale, half of each dwell.
-
-    Attributes
-    ----------
-    stretch : (d,) float
-        Length of a stretch in samples; 0 if the dwell is too short.
-    place : (d, axes) float
-        Number of the first sample in the later of the two stretches.
-    height_mg, u_mg : (d, axes) float
-        Later minus earlier mean, and the standard deviation of such differences.
-    p_value : (d, axes) float
-        One-sided p-value of the difference, not corrected; 1 if the dwell is too short.
-    tests : int
-        Number of differences in all dwells.
+    `stretch` is the length of a stretch in samples. The arrays (axes,) are `place`, the number of the first
+    sample in the later of the two stretches; `height_mg`, the later minus the earlier mean; `u_mg`, the
+    standard deviation of such differences; and `p_value`, the one-sided p-value, not corrected.
     """
 
-    stretch: Floats
-    place: Floats
+    stretch: int
+    place: NDArray[np.intp]
     height_mg: Floats
     u_mg: Floats
     p_value: Floats
-    tests: int
 
 
 def events(samples: Samples, unlike: list[int], reach: int) -> list[WithinFinding]:
@@ -379,13 +365,13 @@ def events(samples: Samples, unlike: list[int], reach: int) -> list[WithinFindin
     unit = np.ones((len(samples), samples.axes))
     for axis in unlike:
         unit[:, axis] = [max(float(rows[:, axis].std()), 1e-12) for rows in samples.values]
-    scales = _scales(samples, unit, max(_SHORTEST, 2 * reach))
-    if not scales:
-        return []
-    tests = 2 * SEARCHES * samples.axes * sum(scale.tests for scale in scales)
-    p = np.minimum(1.0, tests * np.min([scale.p_value for scale in scales], axis=0))
+    largest, differences = _largest_differences(samples, unit, max(_SHORTEST, 2 * reach))
+    tests = 2 * SEARCHES * samples.axes * differences
+    p = np.ones(unit.shape)
+    for k, scales in enumerate(largest):
+        p[k] = np.min([p[k], *(tests * scale.p_value for scale in scales)], axis=0)
     described = [
-        (k, axis, *_describe(samples, k, axis, scales))
+        (k, axis, *_describe(samples, k, axis, largest[k]))
         for k, axis in np.argwhere(p < FOUND_WITHIN).tolist()
     ]
     found = []
@@ -397,10 +383,11 @@ def events(samples: Samples, unlike: list[int], reach: int) -> list[WithinFindin
     return found
 
 
-def _scales(samples: Samples, unit: Floats, shortest: int) -> list[_Scale]:
-    """Return the largest differences on all scales; a stretch doubles from `shortest` samples on.
+def _largest_differences(samples: Samples, unit: Floats, shortest: int) -> tuple[list[list[_Largest]], int]:
+    """Return the largest differences on all scales, by dwell, and the number of all differences.
 
-    `unit` (d, axes) divides the samples of each dwell.
+    A scale is a length of the stretches: it doubles from `shortest` samples on; on the last scale it is
+    half of each dwell. `unit` (d, axes) divides the samples of each dwell.
     """
     sums = [
         np.concatenate(
@@ -413,7 +400,8 @@ def _scales(samples: Samples, unit: Floats, shortest: int) -> list[_Scale]:
     coarse = np.where(scatter < LIVELY * samples.quantum, 0.5 * samples.quantum / unit, 0.0)
     counts = samples.counts
     doublings = range(max(int(counts.max()) // (3 * shortest), 0).bit_length())
-    scales = []
+    found: list[list[_Largest]] = [[] for _ in samples.values]
+    tests = 0
     for length in (*(shortest << j for j in doublings), None):
         stretch = counts // 2 if length is None else np.full(len(samples), length)
         dwells = np.flatnonzero((counts >= LEAST_SAMPLES) & (2 * stretch <= counts))
@@ -434,15 +422,15 @@ def _scales(samples: Samples, unit: Floats, shortest: int) -> list[_Scale]:
         half = np.sqrt(stretch[dwells] / 2)[:, None]
         largest = np.maximum(np.abs(highest) - coarse[dwells] * half, 0.0)
         p, spread = _judge(apart, differences, largest)
-        place, height, u = np.zeros((3, *unit.shape))
-        tests = sum(map(len, differences))
-        scale = _Scale(np.zeros(len(samples)), place, height, u, np.ones(unit.shape), tests)
-        scale.stretch[dwells], scale.place[dwells] = stretch[dwells], places
-        # Back to the difference of two means in mg.
-        scale.height_mg[dwells], scale.u_mg[dwells] = (x / half * unit[dwells] for x in (highest, spread))
-        scale.p_value[dwells] = np.where(largest > 0, p, 1.0)
-        scales.append(scale)
-    return scales
+        p = np.where(largest > 0, p, 1.0)
+        tests += sum(map(len, differences))
+        for row, k in enumerate(dwells.tolist()):
+            # Back to the difference of two means in mg.
+            mg = unit[k] / half[row]
+            found[k].append(
+                _Largest(int(stretch[k]), places[row], highest[row] * mg, spread[row] * mg, p[row])
+            )
+    return found, tests
 
 
 def _judge(apart: Floats, differences: Sequence[Floats], largest: Floats) -> tuple[Floats, Floats]:
@@ -499,12 +487,12 @@ def _independent(nominal: Floats, squares: Floats) -> Floats:
     """
     if len(squares) < _COMPARED_DWELLS:
         return nominal
-    spread = float(deviation(np.log(np.maximum(squares, 1e-300))))
+    spread = robust_sd(np.log(np.maximum(squares, 1e-300)))
     # The logarithm of a mean of ν squares has variance 2/ν.
     return np.minimum(nominal, max(2 / max(spread, 1e-6) ** 2, 1.0))
 
 
-def _describe(samples: Samples, k: int, axis: int, scales: Sequence[_Scale]) -> tuple[Form, Place]:
+def _describe(samples: Samples, k: int, axis: int, scales: Sequence[_Largest]) -> tuple[Form, Place]:
     """Return the form that describes a dwell best, and its place.
 
     If the form is not significant in the noise of its scale, the event is a disturbance of the length at
@@ -532,8 +520,8 @@ def _describe(samples: Samples, k: int, axis: int, scales: Sequence[_Scale]) -> 
 
     def u_mg(stretch: float) -> float:
         """Return u of the difference between the means of two stretches, by the nearest scale."""
-        nearest = min(scales, key=lambda one: abs(math.log(max(one.stretch[k], 1e-9) / stretch)))
-        return float(nearest.u_mg[k, axis])
+        nearest = min(scales, key=lambda one: abs(math.log(one.stretch / stretch)))
+        return float(nearest.u_mg[axis])
 
     most, chosen = -1.0, None
     for form, course, stretch, at, unit, per_mg, shift in forms:
@@ -548,10 +536,10 @@ def _describe(samples: Samples, k: int, axis: int, scales: Sequence[_Scale]) -> 
     form, place, certain = chosen
     if certain:
         return form, place
-    scale = min(scales, key=lambda one: float(one.p_value[k, axis]))
-    first, height, u = (float(x[k, axis]) for x in (scale.place, scale.height_mg, scale.u_mg))
-    shift = height * float(scale.stretch[k]) / n
-    return "disturbance", samples.place(k, axis, height, u, at=int(first), shift=shift)
+    scale = min(scales, key=lambda one: float(one.p_value[axis]))
+    height, u = float(scale.height_mg[axis]), float(scale.u_mg[axis])
+    shift = height * scale.stretch / n
+    return "disturbance", samples.place(k, axis, height, u, at=int(scale.place[axis]), shift=shift)
 
 
 _WORDS: dict[Form, tuple[str, str, str]] = {

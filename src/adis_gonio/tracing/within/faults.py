@@ -40,7 +40,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, optimize, special
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, robust_sd
 from adis_gonio.base.numbers import format_number
 from adis_gonio.base.uncertainty import FOUND_WITHIN, INADEQUATE, Detectable, Value
 from adis_gonio.fitting.estimation.readings import Readings, quantization_variance
@@ -55,7 +55,6 @@ from adis_gonio.tracing.within.samples import (
     WithinFinding,
     axes_and_positions,
     corrected,
-    deviation,
     positions_text,
 )
 from adis_gonio.tracing.within.tones import TAPER_LOSS, Density, without_line
@@ -93,10 +92,10 @@ def spikes(samples: Samples, scatter: Floats, reach: int) -> tuple[WithinFinding
         looks = {k: _from_neighbours(samples.values[k][:, axis], reach) for k in long}
         # The scale of a single dwell is uncertain, and too small if the dwell is hardly longer than the
         # correlation of its noise. It is used only if it exceeds the scale of all dwells.
-        usual = deviation(np.concatenate([one_side for _, _, one_side in looks.values()])) if looks else 0.0
+        usual = robust_sd(np.concatenate([one_side for _, _, one_side in looks.values()])) if looks else 0.0
         for k, (away, middle, one_side) in looks.items():
             rows = samples.values[k]
-            spread = max(float(deviation(one_side)), float(usual), 0.5 * float(scatter[k, axis]))
+            spread = max(robust_sd(one_side), usual, 0.5 * float(scatter[k, axis]))
             # Both the neighbours' median and the sample are rounded.
             size = (np.abs(away) - 1.5 * samples.quantum[axis]) / spread
             far = np.flatnonzero(size > limit)
@@ -359,26 +358,26 @@ class Levels:
 
         All places between two dwells are tried, and the p-value is corrected for their number.
         """
+        step, u = self.steps
         d = len(self.level)
-        p = 1.0
-        for cut in range(1, d):
-            step, u = step_of(self.course, self.level_dof, cut)
-            p = min(p, 2 * float(special.stdtr(d - 2, -abs(step) / max(u, 1e-300))))
-        return min(1.0, p * (d - 1))
+        return min(1.0, (d - 1) * 2 * float(special.stdtr(d - 2, -np.abs(step) / u).min()))
 
+    @cached_property
+    def steps(self) -> tuple[Floats, Floats]:
+        """Change of the level between two dwells and its u, at each of the d − 1 places, in nats.
 
-def step_of(course: Floats, weight: Floats, cut: int) -> tuple[float, float]:
-    """Return the change of the series `course` (d,) at index `cut`, and its standard uncertainty.
-
-    The change is the weighted mean from index `cut` on minus the weighted mean before it. `weight` (d,) are
-    relative weights, in proportion to 1/variance (such as degrees of freedom); the uncertainty follows from
-    the scatter of the values about the two means.
-    """
-    parts = [(course[own], weight[own]) for own in (slice(cut), slice(cut, None))]
-    means = [float(np.average(x, weights=w)) for x, w in parts]
-    squares = sum(float(w @ (x - mean) ** 2) for (x, w), mean in zip(parts, means, strict=True))
-    u2 = squares / (len(course) - 2) * sum(1 / float(w.sum()) for _, w in parts)
-    return means[1] - means[0], math.sqrt(u2)
+        The change is the weighted mean of `course` after the place minus the weighted mean before it, with
+        the degrees of freedom as weights. u follows from the scatter of the values about the two means.
+        """
+        weight = self.level_dof
+        about = self.course - np.average(self.course, weights=weight)
+        before = np.cumsum(weight)[:-1]
+        after = weight.sum() - before
+        inverse = 1 / before + 1 / after
+        # The values are relative to their mean: the sums on both sides are equal and opposite.
+        step = -np.cumsum(weight * about)[:-1] * inverse
+        squares = np.maximum(weight @ about**2 - step**2 / inverse, 0.0)
+        return step, np.maximum(np.sqrt(squares / (len(weight) - 2) * inverse), 1e-300)
 
 
 def noise_change(samples: Samples, density: Density | None) -> WithinFinding | None:
@@ -467,15 +466,10 @@ def _best_cut(levels: list[Levels]) -> int | None:
     The place is found by least squares of the log levels over all axes. The result is None if the noise
     does not increase there on every axis.
     """
-    best: tuple[float, int] | None = None
-    for cut in range(1, len(levels[0].level)):
-        steps = [step_of(own.course, own.level_dof, cut) for own in levels]
-        # Reduction of the log scatter by one step.
-        dof = len(levels[0].level) - 2
-        gain = sum(math.log1p((step / max(u, 1e-300)) ** 2 / dof) for step, u in steps)
-        if best is None or gain > best[0]:
-            best = (gain, cut if all(step > 0 for step, _ in steps) else 0)
-    return best[1] if best is not None and best[1] else None
+    step, u = np.swapaxes([own.steps for own in levels], 0, 1)
+    # Reduction of the log scatter by one step.
+    place = int(np.log1p((step / u) ** 2 / (step.shape[1] - 1)).sum(axis=0).argmax())
+    return place + 1 if (step[:, place] > 0).all() else None
 
 
 def _explained(own: Levels, cut: int) -> bool:
@@ -610,7 +604,7 @@ def smallest_noise_change(samples: Samples, density: Density | None) -> Detectab
         ratio = float(special.fdtri(half, half, 1 - p) / special.fdtri(half, half, 1 - POWER))
         # The added noise scatters too, according to its degrees of freedom.
         chance = math.sqrt(float(special.polygamma(1, np.median(own.level_dof) / 2)) * 4 / dwells)
-        away = _noncentral(p, dwells - 2) * max(step_of(own.course, own.level_dof, dwells // 2)[1], chance)
+        away = _noncentral(p, dwells - 2) * max(own.steps[1][dwells // 2 - 1], chance)
         quiet = float(np.median(own.level)) * density.base[density.searched, axis]
         seen = (own.common * (ratio - 1), _joining_variance(quiet, away))
         worst = max(worst, math.sqrt(min(seen)))

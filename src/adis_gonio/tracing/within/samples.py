@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import MAD_TO_SD, Floats
+from adis_gonio.base.arrays import Floats, robust_sd
 from adis_gonio.base.jsonable import OPTIONAL, JsonRecord
 from adis_gonio.base.numbers import name_positions
 from adis_gonio.base.uncertainty import Value
@@ -135,22 +135,13 @@ def samples_of(session: Session, data: Readings) -> Samples | None:
     )
 
 
-def deviation(rows: Floats, axis: int = 0) -> Floats:
-    """Return the standard deviation of `rows` along `axis`, robust against outliers.
-
-    It is computed from the median absolute deviation; the result has no dimension `axis`.
-    """
-    middle = np.median(rows, axis=axis, keepdims=True)
-    return np.asarray(MAD_TO_SD * np.median(np.abs(rows - middle), axis=axis))
-
-
 def scatter(samples: Samples) -> Floats:
     """Return the standard deviation of single samples in each dwell (d, axes).
 
     Dwells with fewer than `_LEAST_LEVEL` samples use the median over all dwells. The result is never below
     the rounding of the converter.
     """
-    own = np.array([deviation(rows) for rows in samples.values])
+    own = np.array([[robust_sd(column) for column in rows.T] for rows in samples.values])
     plain = np.array([rows.std(axis=0) for rows in samples.values])
     # With a coarse converter there are too few different values for a median deviation.
     own = np.where(own < 2 * samples.quantum, np.maximum(own, np.minimum(plain, samples.quantum)), own)

@@ -62,10 +62,8 @@ def with_second_pass(session: Session, data: Readings, result: TraceResult) -> T
     """
     samples = samples_of(session, data)
     within, shown = ((), {}) if samples is None else look_within(samples)
-    if samples is not None:
-        coarse = faults.quantization(samples, correlation_reach(samples))
-        codes = (faults.saturation(session, data), coarse)
-        within = (*(finding for finding in codes if finding is not None), *within)
+    if samples is not None and (limit := faults.saturation(session, data)) is not None:
+        within = (limit, *within)
     claimed = {finding.effect for finding in result.found}
     best: dict[str, WithinFinding] = {}
     for finding in within:
@@ -145,6 +143,7 @@ def look_within(samples: Samples) -> tuple[tuple[WithinFinding, ...], dict[str, 
     """Search inside the dwells; return the findings and the smallest detectable amplitudes by effect."""
     spread = scatter(samples)
     reach = correlation_reach(samples)
+    coarse = faults.quantization(samples, reach)
     frozen = faults.stuck(samples, spread, reach)
     wild, samples = faults.spikes(samples, spread, reach)
     moving, samples, density = tones.moving_lines(samples)
@@ -154,7 +153,8 @@ def look_within(samples: Samples) -> tuple[tuple[WithinFinding, ...], dict[str, 
     # The scatter differs between dwells on the axes of this finding.
     unlike = [] if change is None else [samples.letters.index(axis) for axis in change.axes]
     single = courses.events(samples, unlike, reach)
-    every = [frozen, wild, *tones.findings_of([*moving, *steady], samples), change, *shared, *single]
+    lines = tones.findings_of([*moving, *steady], samples)
+    every = [coarse, frozen, wild, *lines, change, *shared, *single]
     shown = {
         "tone": tones.smallest_tone(samples, density),
         "noise_change": faults.smallest_noise_change(samples, density),
