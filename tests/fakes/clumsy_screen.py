@@ -9,11 +9,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from adis_gonio.base.errors import BusError
-from adis_gonio.bench.events import DwellProgress, Event
+from adis_gonio.bench.events import DwellProgress, Event, Finished
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.faces.tui import screen_text
-from adis_gonio.faces.tui.bench_screen import BenchApp, HelpDialog, LineDialog, remember
+from adis_gonio.faces.tui.bench_screen import BenchApp, HelpDialog, LineDialog
 from fakes.clumsy import Manner, Person
 from fakes.clumsy_sessions import EventHand, Outcome, Task, by_events, lost, runner_of
 from fakes.hand_part import HandPart
@@ -96,7 +96,7 @@ def one_run(part: HandPart, person: Person, path: Path, chosen: object, outcome:
         watched = WatchedRunner(runner, hand, person)
 
         async def play() -> BenchApp:
-            app = hand.app = BenchApp(watched, "adis-gonio calibrate --resume", remember)
+            app = hand.app = BenchApp(watched, "adis-gonio calibrate --resume")
             hand.loop = asyncio.get_running_loop()
             started = threading.Event()
             app._worker = threading.Thread(
@@ -112,8 +112,9 @@ def one_run(part: HandPart, person: Person, path: Path, chosen: object, outcome:
         app = asyncio.run(play())
         if app.crash is not None:
             raise app.crash
-        if app.state.finished is not None:
-            outcome.complete = app.state.finished.complete
+        finished = app.state.latest(Finished)
+        if finished is not None:
+            outcome.complete = finished.complete
         if app.error is not None:
             if isinstance(app.error, BusError) and watched.dwelling:
                 outcome.trouble += lost(path, None, bus.delivered[hand._mark :])

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 LONGEST_ANSWER_S = 60.0
 """No request may wait longer: the slowest bridge of a story takes 20 s for a batch."""
 CROWD = 64
-CHANNELS = {name: iio_device.Channel(0, BY_NAME[name]).id for name in DEFAULT_SCAN}
+CHANNELS = {name: iio_device.Channel.of(0, BY_NAME[name]).id for name in DEFAULT_SCAN}
 TIME_BIT = len(DEFAULT_SCAN)
 DEVICE = "iio:device0"
 
