@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from adis_gonio.base.errors import install_extra
-from adis_gonio.base.numbers import counted, signed
+from adis_gonio.base.numbers import counted
 from adis_gonio.base.tables import fold_text
 from adis_gonio.bench import events
 from adis_gonio.bench.guidance import drawing, to_do, turn_to_do
@@ -28,14 +28,14 @@ from adis_gonio.faces import bench_words as words
 from adis_gonio.faces.cli.show import console, print_indented
 from adis_gonio.faces.cli.terminal import on_terminal
 from adis_gonio.faces.cli.trace_commands import loop_line
-from adis_gonio.faces.tui.bench_state import LEAST_SIZE
+from adis_gonio.faces.tui import screen_text
+from adis_gonio.faces.tui.bench_state import LEAST_SIZE, BenchState
 from adis_gonio.record.plans import GYRO_TURNS
 from adis_gonio.record.session_reader import FREE_TURN
 
 if TYPE_CHECKING:
     from adis_gonio.bench.runner import SessionRunner
     from adis_gonio.faces.free_hands import Hands
-    from adis_gonio.record.plans import Position
 
 Actions = dict[str, Callable[[], None]]
 """Action of each key; the Enter key is an empty text."""
@@ -94,7 +94,7 @@ class PlainBench:
         self._lines = Lines()
         self._question: _Question | None = None
         self._asking = False
-        self._here: Position | None = None  # position of the part; unknown after an interrupted dwell
+        self._state = BenchState()
         self._drawn = False
         self._screen = console(stderr=True)
 
@@ -130,15 +130,16 @@ class PlainBench:
 
     def _handle(self, event: events.Event) -> bool:
         """Show an event, or ask its question; return True if the session is complete."""
+        self._state.take(event)
         match event:
             case events.Watching() if self._question is not None:
                 self._listen(wait=False)
             case events.Watching() | events.DwellProgress() | events.Waiting() | events.TurnProgress():
-                self._show_progress(*_progress_of(event))
+                self._show_progress()
             case events.Advising():
                 if not self._screen.is_terminal:
                     self._say(f"tracing {counted(event.dwells, 'dwell')} …")
-                self._show_progress("tracing", counted(event.dwells, "dwell"), None, None)
+                self._show_progress()
             case _:
                 self._ask(event)
                 self._report(event)
@@ -175,7 +176,7 @@ class PlainBench:
         else:
             task = to_do(
                 event.position,
-                self._here,
+                self._state.here,
                 reverse=runner.reversed,
                 fastest_dps=runner.fastest_dps,
                 table=self._plan.name == GYRO_TURNS,
@@ -305,10 +306,7 @@ class PlainBench:
         match event:
             case events.Started():
                 self._plan = event.plan
-            case events.TurnDone():
-                self._hide()
-            case events.DwellDone() | events.DwellInterrupted():
-                self._here = event.position if isinstance(event, events.DwellDone) else None
+            case events.TurnDone() | events.DwellDone() | events.DwellInterrupted():
                 self._hide()
             case events.Advised():
                 self._hide()
@@ -325,13 +323,15 @@ class PlainBench:
 
     # -- the line that moves ----------------------------------------------------------------------
 
-    def _show_progress(self, what: str, note: str, done: float | None, total: float | None) -> None:
+    def _show_progress(self) -> None:
+        """Show the activity, with a bar if it has a length, else with the stillness of the part."""
+        state, span = self._state, self._state.span
         self._progress.update(
             self._task,
-            description=f"  {what:<9}",
-            note=note,
-            completed=done or 0,
-            total=total,
+            description=f"  {state.doing}",
+            note="" if state.quiet else screen_text.progress(state, 0) or screen_text.stillness(state, 0),
+            completed=0 if span is None else span.elapsed_s,
+            total=None if span is None else span.length_s,
             visible=True,
         )
 
@@ -339,29 +339,6 @@ class PlainBench:
         """Remove the progress bar now instead of at its next refresh."""
         self._progress.update(self._task, visible=False)
         self._progress.refresh()
-
-
-def _progress_of(
-    event: events.Watching | events.DwellProgress | events.Waiting | events.TurnProgress,
-) -> tuple[str, str, float | None, float | None]:
-    """Return the content of the progress line: activity, note, elapsed time in s and total length in s.
-
-    The elapsed time and the length are None outside a dwell, a wait or a turn.
-    """
-    if isinstance(event, events.Watching):
-        note = f"spread {max(event.spread_mg):.2f} mg"
-        if event.limit_mg is not None:
-            note += f" (still below {min(event.limit_mg):.2f})"
-        if event.angle_deg is not None:
-            note += f", {signed(event.angle_deg, 2)}°"
-        return event.state, note, None, None
-    what = "dwell" if isinstance(event, events.DwellProgress) else "waiting"
-    note = f"{event.elapsed_s:.0f} of {event.length_s:.0f} s"
-    if isinstance(event, events.TurnProgress):
-        turn = "turn" if event.turns == 1 else f"turn {event.turn} of {event.turns}"
-        what = {"rest": "at rest", "turn": turn, "after": "let rest"}[event.state]
-        note = f"{signed(event.turned_deg, 0)}°, {signed(event.rate_dps, 1)} °/s, {event.elapsed_s:.0f} s"
-    return what, note, event.elapsed_s, event.length_s
 
 
 def can_show_screen() -> bool:

@@ -8,7 +8,7 @@ from enum import Enum
 from typing import TypeVar
 
 from adis_gonio.base.arrays import wrap_degrees
-from adis_gonio.base.numbers import counted
+from adis_gonio.base.numbers import counted, signed
 from adis_gonio.bench import events
 from adis_gonio.faces import bench_words as words
 from adis_gonio.faces.bench_words import Level, Question
@@ -222,6 +222,11 @@ class BenchState:
                 self.doing = "paused"
             case events.Unpaused():
                 self.paused, self.doing = False, "going on"
+            case events.TurnProgress():
+                turn = "turn" if event.turns == 1 else f"turn {event.turn} of {event.turns}"
+                self.doing = {"rest": "at rest", "turn": turn, "after": "let rest"}[event.state]
+                motion = f"{signed(event.turned_deg, 0)}°, {signed(event.rate_dps, 1)} °/s"
+                self.span = Span(motion, event.elapsed_s, event.length_s)
             case events.Finished():
                 self.place, self.quiet = None, True
                 self.doing = "complete" if event.complete else "not complete"
