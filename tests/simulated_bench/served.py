@@ -12,7 +12,9 @@ import contextlib
 import hashlib
 import selectors
 import threading
+from collections import deque
 from collections.abc import Awaitable, Callable, Coroutine, Iterator
+from concurrent.futures import Future
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -125,6 +127,43 @@ class _Event:
     def wait(self) -> None:
         if not self._set and self._loop.thread is not None:
             self._loop.thread.give_way(lambda: self._set)
+
+
+class _Executor:
+    """Takes the place of `ThreadPoolExecutor` with its one thread."""
+
+    def __init__(self, loop: VirtualLoop, *_: object) -> None:
+        self._loop = loop
+        self._tasks: deque[Callable[[], object]] = deque()
+        self._ending = False
+        self._thread = _Thread(loop, target=self._work)
+        self._thread.start()
+
+    def submit(self, function: Callable[..., Any], *arguments: object) -> Future[Any]:
+        future: Future[Any] = Future()
+
+        def task() -> None:
+            try:
+                result = function(*arguments)
+            except Exception as error:
+                future.set_exception(error)
+            else:
+                future.set_result(result)
+
+        self._tasks.append(task)
+        return future
+
+    def shutdown(self, *, cancel_futures: bool) -> None:
+        self._ending = True
+        self._tasks.clear()
+        self._thread.join()
+
+    def _work(self) -> None:
+        while self._tasks or not self._ending:
+            if self._tasks:
+                self._tasks.popleft()()
+            else:
+                self._thread.give_way(lambda: bool(self._tasks) or self._ending)
 
 
 # -- the loop ------------------------------------------------------------------------------------------
@@ -494,7 +533,7 @@ def virtual_serving(bench: Bench, draw: int) -> Iterator[None]:
         loop.going = loop.create_task(_go_after(living, bench))
         return _Listening(loop, host, port)
 
-    threads = SimpleNamespace(Thread=partial(_Thread, loop), Event=partial(_Event, loop))
+    threads = SimpleNamespace(Event=partial(_Event, loop))
     clock = SimpleNamespace(
         monotonic=lambda: bench.now_s, time_ns=lambda: bench.begin_ns + round(bench.now_s * 1e9)
     )
@@ -504,6 +543,7 @@ def virtual_serving(bench: Bench, draw: int) -> Iterator[None]:
             (asyncio, "run", run),
             (asyncio, "start_server", listen),
             (iio_device, "threading", threads),
+            (iio_device, "ThreadPoolExecutor", partial(_Executor, loop)),
             (iio_device, "time", clock),
             (iio_server, "time", clock),
         ):

@@ -16,15 +16,15 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-import queue
 import re
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property, partial
-from typing import Any, TypeVar
+from functools import cached_property
+from typing import TypeVar
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -37,7 +37,6 @@ from adis_gonio.faces.serve.iiod_protocol import Errno, Refused
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 T = TypeVar("T")
-_Job = tuple[Callable[[Adis16354], Any], "Future[Any]", bool]
 
 BLOCK_S = 0.04
 """Length of a block of scans in s, the longest delay of a scan in addition to the delay of the bus."""
@@ -84,29 +83,26 @@ class Sampler:
         self._simulated = getattr(sensor.bus, "world", None) is not None
         self._on_scans = on_scans
         self._on_failure = on_failure
-        self._jobs: queue.SimpleQueue[_Job] = queue.SimpleQueue()
+        self._thread = ThreadPoolExecutor(1, "sampler")
+        self._waiting = deque[None]()
+        """One entry for each job that has not begun, for which the stream ends."""
         self._wake = threading.Event()
-        self._stopping = False
-        self._wanted = False
-        self._failure: Exception | None = None
-        self._thread = threading.Thread(target=self._run, name="sampler", daemon=True)
+        self._stopping = self._wanted = False
         self.state = state_of(sensor)
-
-    def start(self) -> None:
-        """Start the thread that owns the sensor."""
-        self._thread.start()
 
     def stop(self) -> None:
         """End the stream, which restores the register that it changed, and end the thread."""
         self._stopping = True
         self._wake.set()
-        self._thread.join()
+        self._thread.shutdown(cancel_futures=True)
 
     def want(self, wanted: bool) -> None:
         """Start or end streaming: `wanted` is True if at least one client needs scans."""
-        if wanted != self._wanted:
-            self._wanted = wanted
-            self._wake.set()
+        begins = wanted and not self._wanted
+        self._wanted = wanted
+        self._wake.set()
+        if begins:
+            self._thread.submit(self._stream)
 
     def submit(self, job: Callable[[Adis16354], T], *, changes: bool = False) -> Future[T]:
         """Queue a job that uses the sensor; return the future of its result.
@@ -120,13 +116,9 @@ class Sampler:
         changes : bool
             True if the job writes registers, so that `state` has to be read again.
         """
-        future: Future[T] = Future()
-        if self._failure is not None or self._stopping:
-            future.set_exception(self._failure or AdisGonioError("the server ends"))
-            return future
-        self._jobs.put((job, future, changes))
+        self._waiting.append(None)
         self._wake.set()
-        return future
+        return self._thread.submit(self._run_job, job, changes)
 
     # -- inside the thread --------------------------------------------------------------------------
 
@@ -146,41 +138,29 @@ class Sampler:
                     " has other settings, or is not connected; check supply, chip select and wires"
                 )
 
-    def _run(self) -> None:
+    def _run_job(self, job: Callable[[Adis16354], T], changes: bool) -> T:
+        self._waiting.popleft()
         try:
-            while not self._stopping:
-                self._wake.clear()
-                self._run_jobs()
-                if self._wanted and not self._stopping:
-                    self._stream()
-                else:
-                    self._wake.wait()
-        except Exception as error:  # of any kind, because no client may wait for scans that will not come
-            self._failure = error
-            self._on_failure(error)
+            return job(self._sensor)
         finally:
-            self.newest = None
-            while not self._jobs.empty():
-                _, future, _ = self._jobs.get()
-                if future.set_running_or_notify_cancel():
-                    future.set_exception(self._failure or AdisGonioError("the server ends"))
-
-    def _run_jobs(self) -> None:
-        while not self._jobs.empty():
-            job, future, changes = self._jobs.get()
-            if not future.set_running_or_notify_cancel():
-                continue
-            try:
-                answer = partial(future.set_result, job(self._sensor))
-            except Exception as error:
-                answer = partial(future.set_exception, error)
             if changes:  # a failed job may have changed some registers
                 with contextlib.suppress(AdisGonioError):
                     self.state = state_of(self._sensor)
-            answer()
 
     def _stream(self) -> None:
+        """Read scans until a job waits or no client wants them; go on after the jobs."""
+        try:
+            if not self._interrupted:
+                self._read_scans()
+        except Exception as error:  # of any kind, because no client may wait for scans that will not come
+            self._on_failure(error)
+            return
+        if self._wanted and not self._stopping:
+            self._thread.submit(self._stream)
+
+    def _read_scans(self) -> None:
         sensor = self._sensor
+        self._wake.clear()
         rate_hz = self.state.configuration.sample_rate_hz
         block_scans = min(MOST_BLOCK, max(1, round(BLOCK_S * rate_hz)))
         wall_s = time.monotonic()
@@ -200,7 +180,7 @@ class Sampler:
 
     @property
     def _interrupted(self) -> bool:
-        return self._stopping or not self._wanted or not self._jobs.empty()
+        return self._stopping or not self._wanted or bool(self._waiting)
 
     def _wait_until(self, monotonic_s: float) -> None:
         while (left_s := monotonic_s - time.monotonic()) > 0:

@@ -384,7 +384,6 @@ class IioServer:
                 f"cannot listen on {host}, port {port} ({getattr(error, 'strerror', None) or error}):"
                 " give another --iio PORT or --listen ADDRESS"
             ) from error
-        self.sampler.start()
         try:
             with self._ended_by_signals():
                 place = server.sockets[0].getsockname()
