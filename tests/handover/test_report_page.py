@@ -155,7 +155,7 @@ def test_a_wrong_position_has_its_angles_by_gravity_and_by_the_gyro():
     gravity, gyro = (31.04, 0.1), (31.2, 0.5)  # with standard uncertainties; the page states 95 %
     named = (Named("slipped", (3,), 0.9),)
     wrong = PositionFinding(3, "slipped", 30.0, gravity, gyro, gravity, (1.04, 0.1), None, (), 0.99, named)
-    (section,) = positions_section([wrong, replace(wrong, declared_deg=None, gyro_deg=None)])
+    section = positions_section([wrong, replace(wrong, declared_deg=None, gyro_deg=None)])
     cells = [[cell.replace("\xa0", " ") for cell in row[1:4]] for row in section.tables[0].rows]
     assert cells == [["30°", "(31.04 ± 0.20)°", "(31.20 ± 0.98)°"], ["–", "(31.04 ± 0.20)°", "–"]]
 

@@ -117,7 +117,7 @@ def _parameters(summary: Summary, *, figures: bool) -> Section:
     drawn = [_histogram(one) for one in summary.parameters] if figures else []
     return Section(
         "Parameters",
-        tables=[table] if summary.parameters else [],
+        tables=[table],
         figures=[figure for figure in drawn if figure is not None],
         notes=["angle: error of the angle, rms over held-out dwells."] if summary.parameters else (),
     )
@@ -158,7 +158,7 @@ def _effects(summary: Summary) -> Section:
     head = ["effect", "sessions", "share", "95 % interval"]
     table = Table(head, rows, numeric=(1, 2, 3), caption="95 % interval of the share by Wilson.")
     none = ["No effect was found."] if summary.sessions["traced"] and not rows else []
-    return Section("Effects by frequency", words=none, tables=[table] if rows else [])
+    return Section("Effects by frequency", words=none, tables=[table])
 
 
 def _outlying(summary: Summary) -> Section:
@@ -189,7 +189,7 @@ def _outlying(summary: Summary) -> Section:
     return Section(
         "Outlying groups",
         words=[words],
-        tables=[table] if rows else [],
+        tables=[table],
         notes=[
             "Units: robust z of the median of their sessions. Stages and operators: normal scores over"
             " their units, effects by the hypergeometric tail. The most outlying group is removed"
@@ -208,7 +208,7 @@ def _files(title: str, head: str, rows: Sequence[tuple[str, str]], *, folded: bo
     """
     more = len(rows) - _MOST_ROWS
     table = Table(["file", head], rows[:_MOST_ROWS], caption=f"{more} more." if more > 0 else "")
-    return Section(title, tables=[table] if rows else [], folded=folded)
+    return Section(title, tables=[table], folded=folded)
 
 
 def history_page(history: History) -> str:

@@ -112,14 +112,13 @@ def certificate_section(
     # For attitudes in space there are no key figures.
     wanted = [name for name in ("delta_k", "delta_phi", "angle") if name in answer.values]
     key = [_large(name, answer.values[name]) for name in wanted if len(wanted) > 1]
-    results = [] if key else [Table(HEAD, answer.lines, numeric=(2, 3, 4, 5))]
     return Section(
         "Certificate",
         key=key,
         words=[*doubts, *stated],
         figures=figures,
         tables=[
-            *results,
+            Table(HEAD, [] if key else answer.lines, numeric=(2, 3, 4, 5)),
             *(Table(["", ""], rows) for rows in (instrument, conditions, signature[:1], signature[1:])),
         ],
         notes=[
@@ -178,10 +177,8 @@ def _large(name: str, value: Value) -> KeyFigure:
 _ANGLES = ("position", "declared", "by gravity", "by the gyro", "found", "how sure")
 
 
-def positions_section(findings: Sequence[PositionFinding]) -> list[Section]:
-    """Return a list with the section on wrong positions and their angles; empty if `findings` is empty."""
-    if not findings:
-        return []
+def positions_section(findings: Sequence[PositionFinding]) -> Section:
+    """Return the section on wrong positions and their angles; without contents if `findings` is empty."""
     rows = [
         [
             str(found.position),
@@ -195,7 +192,7 @@ def positions_section(findings: Sequence[PositionFinding]) -> list[Section]:
     ]
     sentences = list(dict.fromkeys(found.sentence for found in findings))
     table = Table(_ANGLES, rows, numeric=(1, 2, 3, 5), caption="Angles ± U (95 %).")
-    return [Section("Wrong positions", words=sentences, tables=[table])]
+    return Section("Wrong positions", words=sentences, tables=[table])
 
 
 def _angle(angle: Angle | None) -> str:
@@ -226,14 +223,14 @@ def budget_section(answer: Answer) -> Section:
         tables.append(Table(head, cells, caption=caption, numeric=(3, 4, 5, 6)))
     first = next(iter(answer.budget.values()), ())
     notes = [f"{row.source}: {row.note}" for row in first if row.note]
-    return Section("Uncertainty budget", tables=tables, notes=notes if tables else [], folded=True)
+    return Section("Uncertainty budget", tables=tables, notes=notes, folded=True)
 
 
 def scores_section(answer: Answer) -> Section:
     """Return the section that compares the errors of all methods, each computed on the same readings."""
     head, rows = answer.score_rows()
     table = Table(head, rows, numeric=tuple(range(1, len(head))), strong=(0,))
-    return Section("Methods on the same readings", words=[answer.scored_on], tables=[table] if rows else [])
+    return Section("Methods on the same readings", words=[answer.scored_on], tables=[table])
 
 
 _BESIDE = 3
@@ -283,8 +280,8 @@ def found_section(traced: TraceResult) -> Section:
         "Effects found",
         notes=[*notes, share] if rows else [],
         words=[] if rows else ["No effect had to be added, or none could be named."],
-        tables=[table] if rows else [],
-        parts=[part for part in parts if part.points],
+        tables=[table],
+        parts=parts,
     )
 
 
@@ -315,8 +312,8 @@ def within_section(traced: TraceResult) -> Section:
         if left_out > 0:
             rows.append([finding.kind, f"{left_out} more", "", "", "", ""])
     head = ["finding", "position", "axis", "time / s", "size", "the mean is off by / mg"]
-    tables = [Table(head, rows, numeric=(3, 4, 5))] if rows else []
-    return Section("Inside the dwells", points=words.within(traced), tables=tables)
+    table = Table(head, rows, numeric=(3, 4, 5))
+    return Section("Inside the dwells", points=words.within(traced), tables=[table])
 
 
 def errors_section(traced: TraceResult) -> Section:
@@ -329,11 +326,9 @@ def errors_section(traced: TraceResult) -> Section:
         numeric=tuple(range(1, len(head))),
         strong=(len(rows) - 1,),
     )
-    tables = [table]
-    if base:
-        tables.append(Table(["base parameter", "in the final model"], base, numeric=(1,)))
+    parameters = Table(["base parameter", "in the final model"], base, numeric=(1,))
     left_out = f"Errors are root mean squares. Left out: {traced.heldout_design or 'nothing'}."
-    return Section("Error before and after", tables=tables, notes=[left_out])
+    return Section("Error before and after", tables=[table, parameters], notes=[left_out])
 
 
 def steps_section(traced: TraceResult, views: Views) -> Section:
@@ -343,12 +338,11 @@ def steps_section(traced: TraceResult, views: Views) -> Section:
     effect depends.
     """
     parts = []
-    for number_, (step, view) in enumerate(zip(traced.steps, views.steps, strict=True), 1):
+    for number, (step, view) in enumerate(zip(traced.steps, views.steps, strict=True), 1):
         figures = [_panel_figure(panel, step.effect, "before") for panel in view]
-        if figures:
-            parts.append(Section(f"Step {number_}: {step.effect}", figures=figures))
+        parts.append(Section(f"Step {number}: {step.effect}", figures=figures))
     bars = ["Bars are standard uncertainties of a reading; they are left out if it is not known."]
-    return Section("Residual, step by step", words=bars if parts else [], parts=parts)
+    return Section("Residual, step by step", words=bars if any(views.steps) else [], parts=parts)
 
 
 def residual_section(views: Views) -> Section:
@@ -448,10 +442,8 @@ def rivals_section(traced: TraceResult) -> Section:
         if finding.equivalents
     ]
     caption = "Posterior probability among all models that were weighed; axes in brackets."
-    tables = (
-        [Table(["model", "probability"], rows, caption=caption, numeric=(1,), strong=(0,))] if rows else []
-    )
-    return Section("Other probable models", tables=tables, notes=same, folded=True)
+    table = Table(["model", "probability"], rows, caption=caption, numeric=(1,), strong=(0,))
+    return Section("Other probable models", tables=[table], notes=same, folded=True)
 
 
 def sight_section(traced: TraceResult) -> Section:
@@ -480,7 +472,7 @@ def sight_section(traced: TraceResult) -> Section:
         numeric=(1, 2),
         caption="Smallest amplitude that this session would have shown with 90 % power.",
     )
-    return Section("Smallest detectable amplitudes", tables=[table] if rows else [], folded=True)
+    return Section("Smallest detectable amplitudes", tables=[table], folded=True)
 
 
 def data_section(session: Session, traced: TraceResult | None, known: Mapping[str, str]) -> Section:
@@ -645,7 +637,7 @@ def build_page(
     known = facts(session, next((degrees for degrees in dated if degrees is not None), None))
     if answer is not None:
         body += [certificate_section(answer, known, positions, tolerance), answer_section(answer)]
-    body += [summary_section(traced), *positions_section(positions)]
+    body += [summary_section(traced), positions_section(positions)]
     if answer is not None:
         body += [budget_section(answer), scores_section(answer)]
     body += [fitted_section(fits, failures or {})]

@@ -454,6 +454,8 @@ class Table:
 class Section:
     """A section of a page; it shows key figures, words, list, figures, tables and notes in this order.
 
+    Tables without rows and subsections without contents are left out.
+
     Attributes
     ----------
     title : str
@@ -485,6 +487,16 @@ class Section:
     folded: bool = False
     """True if the section is closed on a screen until it is opened; on paper it is always open."""
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "tables", [table for table in self.tables if table.rows])
+        object.__setattr__(self, "parts", [part for part in self.parts if part.filled])
+
+    @property
+    def filled(self) -> bool:
+        """True if the section has contents besides its title."""
+        contents = (self.words, self.points, self.figures, self.tables, self.notes, self.parts, self.key)
+        return any(contents)
+
 
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 """Control characters that a page must not contain: C0, C1, and changes of the writing direction."""
@@ -512,7 +524,7 @@ def render(
     begun : str
         Start of the session as ISO time in UTC; empty if unknown.
     sections : sequence of Section
-        Contents of the page.
+        Contents of the page; sections without contents are left out.
     closing : str
         Last sentence of the page.
     simulated : bool
@@ -534,7 +546,6 @@ def render(
         f"{NO_BREAK}±", " ±"
     )
     environment.filters["unit_kept"] = lambda head: head.replace(" / ", f" /{NO_BREAK}")
-    bare = {"title", "folded", "sheet"}
     page = environment.get_template("page.html").render(
         kind=kind,
         title=title,
@@ -542,9 +553,7 @@ def render(
         simulated=simulated,
         begun=begun,
         software=software,
-        sections=[
-            one for one in sections if any(part for name, part in vars(one).items() if name not in bare)
-        ],
+        sections=[section for section in sections if section.filled],
         closing=closing,
     )
     return _CONTROL.sub("?", page)

@@ -269,7 +269,7 @@ def _detail(row: StepResult) -> Section:
     return Section(
         row.name,
         words=(f"{row.does} ({row.effect}).",),
-        tables=(table,) if rows else (),
+        tables=(table,),
     )
 
 
