@@ -51,8 +51,8 @@ def drawn(
         variance = float(rng.uniform(0.1, 2))
         x = f @ x + shift + np.sqrt(np.diag(process)) * rng.standard_normal(SIZE)
         truth.append(x)
-        observed = None if k in gaps else float(design @ x + np.sqrt(variance) * rng.standard_normal())
-        steps.append(TimeStep(f, shift, process, design, observed, variance))
+        observed = 0.0 if k in gaps else float(design @ x + np.sqrt(variance) * rng.standard_normal())
+        steps.append(TimeStep(f, shift, process, design, observed, np.inf if k in gaps else variance))
     return prior, steps, truth
 
 
@@ -77,7 +77,7 @@ def batch(prior: StateEstimate, steps: list[TimeStep]) -> tuple[np.ndarray, np.n
         block = slice(size * (k + 1), size * (k + 2))
         spread[block, block] = step.process
     joint = made @ spread @ made.T
-    seen = [k for k, step in enumerate(steps) if step.observed is not None]
+    seen = [k for k, step in enumerate(steps) if np.isfinite(step.variance)]
     design = np.zeros((len(seen), n * size))
     for row, k in enumerate(seen):
         design[row, k * size : (k + 1) * size] = steps[k].design

@@ -253,6 +253,9 @@ class AngleMeter:
         lag_s: float = LAG_S,
     ) -> None:
         self._calibration = calibration
+        self._zero_deg = 0.0
+        if calibration is not None and "alpha" in calibration:
+            self._zero_deg = calibration["alpha"].value
         sensing = sensing_of(measuring, part, noise_mg)
         self._drift_rad = sensing.drift_mg / 1000  # gravity is 1000 mg
         self._drift_deg = math.degrees(sensing.drift_rms_mg / 1000)
@@ -338,13 +341,10 @@ class AngleMeter:
 
     def _raw(self, mean_mg: Floats, u_mg: Floats | None) -> tuple[float, float | None]:
         x, y = float(mean_mg[0]), float(mean_mg[1])
-        zero_deg = 0.0
-        if self._calibration is not None and "alpha" in self._calibration:
-            zero_deg = self._calibration["alpha"].value
         u_deg = None
         if u_mg is not None and (x or y):
             u_deg = math.degrees(math.hypot(y * u_mg[0], x * u_mg[1]) / (x * x + y * y))
-        return wrap_degrees(zero_deg + float(raw_angle_deg(mean_mg))), u_deg
+        return wrap_degrees(self._zero_deg + float(raw_angle_deg(mean_mg))), u_deg
 
     def _take_rest(self, mean_mg: Floats, temperature_c: float | None, spread_mg: float) -> None:
         """Check the calibration at rest: compare the length of the reading `mean_mg` with local gravity.
@@ -381,10 +381,9 @@ class AngleMeter:
         angle, calibration = self._smoother.angle(), self._calibration
         if angle is None:
             return None
-        shown_deg, u_deg, notes = angle.angle_deg, angle.u_deg, angle.notes
+        u_deg, notes = angle.u_deg, angle.notes
+        shown_deg = wrap_degrees(angle.angle_deg + self._zero_deg)
         if calibration is not None:
-            if "alpha" in calibration:
-                shown_deg = wrap_degrees(shown_deg + calibration["alpha"].value)
             _, by_calibration = corrected_angle(calibration, angle.accel_mg, angle.temperature_c)
             u_deg = math.hypot(u_deg, by_calibration or 0.0, self._off_deg)
             notes = (*notes, "calibration") if self._off_deg else notes

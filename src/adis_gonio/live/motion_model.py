@@ -453,17 +453,17 @@ class TimeStep:
         Q, the covariance of the random change w.
     design : (k,) float
         h, the derivative of the observed angle by the state.
-    observed : float or None
-        y, the observed angle; None without an observation.
+    observed : float
+        y, the observed angle.
     variance : float
-        r, the variance of the observation, above 0.
+        r, the variance of the observation, above 0; infinite without an observation.
     """
 
     transition: Floats
     shift: Floats
     process: Floats
     design: Floats
-    observed: float | None
+    observed: float
     variance: float
 
 
@@ -488,8 +488,6 @@ def advance(state: StateEstimate, step: TimeStep) -> StateEstimate:
     covariance[:, :k] = covariance[:, :k] @ f.T
     covariance[:k, :k] += step.process
     covariance = 0.5 * (covariance + covariance.T)
-    if step.observed is None:
-        return StateEstimate(mean, covariance)
     # Kalman gain of one scalar observation.
     seen = covariance[:, :k] @ step.design
     variance = float(step.design @ seen[:k]) + step.variance
@@ -573,87 +571,6 @@ class Turned:
         square = spin * spin * _MG_PER_MM
         change = self.spin_rad_s2 * _MG_PER_MM
         return complex(square, change), complex(change, -square)
-
-
-class MotionModel:
-    """Builds the matrices of the linear model for each time step.
-
-    Parameters
-    ----------
-    sensing : Sensing
-        Properties of the sensor.
-    gyros : GyroKnowledge
-        Standard uncertainties of the gyro.
-    bend : float
-        Standard deviation of the error of dφ/dψ, with the angle φ computed from the direction of gravity
-        and the true angle ψ. Errors of the accelerometers cause this error, and it varies with the angle.
-    """
-
-    def __init__(self, sensing: Sensing, gyros: GyroKnowledge, bend: float) -> None:
-        self._sensing = sensing
-        self._gyros = gyros
-        self._bend = bend
-
-    def begin(self, angle_deg: float) -> StateEstimate:
-        """Return the state before the first step, with the uncertainty of an unknown angle.
-
-        `angle_deg` is the angle at which the filter starts.
-        """
-        gyros = self._gyros
-        u = np.array([
-            OPEN_DEG, gyros.zero_dps, math.hypot(gyros.scale, self._bend), gyros.g_dps_per_g,
-            gyros.g_dps_per_g, LEVER_MM, LEVER_MM, START_MG, START_MG,
-        ])  # fmt: skip
-        mean = np.zeros(SIZE)
-        mean[ANGLE] = angle_deg
-        return StateEstimate(mean, np.diag(u**2))
-
-    def step(self, turned: Turned, disturbance: Disturbance, before: StateEstimate) -> TimeStep:
-        """Return the matrices of the linear model for a step, with the angle of gravity as observation.
-
-        `before` is the state after the previous step, perhaps with a copy. The observed angle is shifted by
-        whole turns to the value nearest to the predicted angle.
-        """
-        length_s = turned.increment.length_s
-        f = np.eye(SIZE)
-        seen_deg = turned.gravity_deg
-        # The angle changes by the turn that the gyro measured, minus its errors times measured factors.
-        f[ANGLE, ZERO] = -length_s
-        f[ANGLE, SCALE] = -turned.turn_deg
-        f[ANGLE, G_X], f[ANGLE, G_Y] = -length_s * turned.force_g
-        f[NOW, NOW], f[NOW, BEFORE] = disturbance.first, disturbance.second
-        f[BEFORE, NOW], f[BEFORE, BEFORE] = 1.0, 0.0
-        shift = np.zeros(SIZE)
-        shift[ANGLE] = turned.turn_deg
-        process = np.zeros((SIZE, SIZE))
-        process[ANGLE, ANGLE] = (
-            self._sensing.gyro_noise_dps**2 * self._sensing.period_s * length_s
-            + turned.increment.unseen_deg2
-            + turned.across_dps**2 * length_s * ACROSS_S
-        )
-        process[ZERO, ZERO] = WALK_DPS_PER_RT_S**2 * length_s
-        process[SCALE, SCALE] = 2 * self._bend**2 * abs(math.radians(turned.turn_deg))
-        process[NOW, NOW] = disturbance.drive_mg2
-        # After a long gap the angle starts again from gravity.
-        if turned.lost:
-            f[ANGLE, :] = f[NOW, :] = f[BEFORE, :] = 0.0
-            shift[ANGLE], process[ANGLE, ANGLE] = seen_deg, OPEN_DEG**2
-            process[NOW, NOW] = process[BEFORE, BEFORE] = disturbance.coloured_mg2
-            process[ZERO, ZERO] += TURN_ON_DPS**2
-        length_mg = abs(turned.gravity)
-        if length_mg < LEAST_MG:
-            return TimeStep(f, shift, process, np.zeros(SIZE), None, math.inf)
-        # Degrees per mg across gravity: disturbances and lever arm shift the observed angle.
-        per_mg = math.degrees(1.0 / length_mg)
-        along = turned.gravity / length_mg
-        design = np.zeros(SIZE)
-        design[ANGLE] = 1.0
-        for k, lever in zip((LEVER_X, LEVER_Y), turned.lever_mg, strict=True):
-            design[k] = per_mg * (lever * along.conjugate()).imag
-        design[NOW] = per_mg
-        predicted = float(f[ANGLE] @ before.mean[:SIZE]) + shift[ANGLE]
-        observed = predicted + wrap_degrees(seen_deg - predicted)
-        return TimeStep(f, shift, process, design, observed, per_mg**2 * disturbance.white_mg2)
 
 
 SPAN_S = 1.0
@@ -808,7 +725,7 @@ class AngleSmoother:
         self._sensing = sensing
         self._gyros = gyros or GyroKnowledge()
         self._corrected = corrected
-        self._model = MotionModel(sensing, self._gyros, sensing.bend if bend is None else bend)
+        self._bend = sensing.bend if bend is None else bend
         step_s = sensing.step_samples * sensing.period_s
         self._lag = round(lag_s / step_s)
         self._back = max(2 * LEAST_STEPS, round(BACK_S / step_s))
@@ -847,7 +764,7 @@ class AngleSmoother:
             self._segment += 1
             self._plane.forget()
         if self._state is None:
-            self._state = self._model.begin(turned.gravity_deg)
+            self._state = self._begin(turned.gravity_deg)
         events = {
             "gap": turned.lost or present.gap_s > 0,
             "saturated": present.saturated,
@@ -920,6 +837,67 @@ class AngleSmoother:
 
     # -- the model of a step -------------------------------------------------------------------------
 
+    def _begin(self, angle_deg: float) -> StateEstimate:
+        """Return the state before the first step, with the uncertainty of an unknown angle.
+
+        `angle_deg` is the angle at which the filter starts.
+        """
+        gyros = self._gyros
+        u = np.array([
+            OPEN_DEG, gyros.zero_dps, math.hypot(gyros.scale, self._bend), gyros.g_dps_per_g,
+            gyros.g_dps_per_g, LEVER_MM, LEVER_MM, START_MG, START_MG,
+        ])  # fmt: skip
+        mean = np.zeros(SIZE)
+        mean[ANGLE] = angle_deg
+        return StateEstimate(mean, np.diag(u**2))
+
+    def _step(self, turned: Turned, disturbance: Disturbance, before: StateEstimate) -> TimeStep:
+        """Return the matrices of the linear model for a step, with the angle of gravity as observation.
+
+        `before` is the state after the previous step, perhaps with a copy. The observed angle is shifted by
+        whole turns to the value nearest to the predicted angle.
+        """
+        length_s = turned.increment.length_s
+        f = np.eye(SIZE)
+        seen_deg = turned.gravity_deg
+        # The angle changes by the turn that the gyro measured, minus its errors times measured factors.
+        f[ANGLE, ZERO] = -length_s
+        f[ANGLE, SCALE] = -turned.turn_deg
+        f[ANGLE, G_X], f[ANGLE, G_Y] = -length_s * turned.force_g
+        f[NOW, NOW], f[NOW, BEFORE] = disturbance.first, disturbance.second
+        f[BEFORE, NOW], f[BEFORE, BEFORE] = 1.0, 0.0
+        shift = np.zeros(SIZE)
+        shift[ANGLE] = turned.turn_deg
+        process = np.zeros((SIZE, SIZE))
+        process[ANGLE, ANGLE] = (
+            self._sensing.gyro_noise_dps**2 * self._sensing.period_s * length_s
+            + turned.increment.unseen_deg2
+            + turned.across_dps**2 * length_s * ACROSS_S
+        )
+        process[ZERO, ZERO] = WALK_DPS_PER_RT_S**2 * length_s
+        process[SCALE, SCALE] = 2 * self._bend**2 * abs(math.radians(turned.turn_deg))
+        process[NOW, NOW] = disturbance.drive_mg2
+        # After a long gap the angle starts again from gravity.
+        if turned.lost:
+            f[ANGLE, :] = f[NOW, :] = f[BEFORE, :] = 0.0
+            shift[ANGLE], process[ANGLE, ANGLE] = seen_deg, OPEN_DEG**2
+            process[NOW, NOW] = process[BEFORE, BEFORE] = disturbance.coloured_mg2
+            process[ZERO, ZERO] += TURN_ON_DPS**2
+        length_mg = abs(turned.gravity)
+        if length_mg < LEAST_MG:
+            return TimeStep(f, shift, process, np.zeros(SIZE), 0.0, math.inf)
+        # Degrees per mg across gravity: disturbances and lever arm shift the observed angle.
+        per_mg = math.degrees(1.0 / length_mg)
+        along = turned.gravity / length_mg
+        design = np.zeros(SIZE)
+        design[ANGLE] = 1.0
+        for k, lever in zip((LEVER_X, LEVER_Y), turned.lever_mg, strict=True):
+            design[k] = per_mg * (lever * along.conjugate()).imag
+        design[NOW] = per_mg
+        predicted = float(f[ANGLE] @ before.mean[:SIZE]) + shift[ANGLE]
+        observed = predicted + wrap_degrees(seen_deg - predicted)
+        return TimeStep(f, shift, process, design, observed, per_mg**2 * disturbance.white_mg2)
+
     def _disturbance(self, place: int) -> Disturbance:
         seen = self._seen[place]
         if seen.increment.saturated:
@@ -934,7 +912,7 @@ class AngleSmoother:
         return disturbance_of(level, alike.index(place - first), self._sensing.step_noise_mg2)
 
     def _advance(self, state: StateEstimate, place: int) -> StateEstimate:
-        return advance(state, self._model.step(self._seen[place], self._disturbance(place), state))
+        return advance(state, self._step(self._seen[place], self._disturbance(place), state))
 
     # -- the angle -----------------------------------------------------------------------------------
 

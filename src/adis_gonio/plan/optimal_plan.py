@@ -176,6 +176,14 @@ class Candidates:
         variance = np.einsum("mp,kpq,mq->km", self.gradient, covariance, self.gradient).max(axis=1)
         return np.asarray(-np.log(variance))
 
+    def score(self, choice: Choice) -> float:
+        """Return the score of the plan with the position choice[k] in dwell k; larger is better."""
+        return float(self.scores(self.information(choice)[None])[0])
+
+    def repeats(self, choice: Choice) -> bool:
+        """Return True if two consecutive dwells of a plan are at an equal angle."""
+        return bool((np.diff(self.angle_deg[choice]) == 0).any())
+
     def separations(self, information: Floats) -> Floats:
         """Return the typical size of each of q amplitudes divided by its standard uncertainty, (k, q).
 
@@ -357,7 +365,7 @@ def _refuse_hidden(term: NamedTerm, base: Floats, columns: Floats) -> None:
         )
 
 
-def search(ground: Candidates, starts: Sequence[Choice], rng: np.random.Generator) -> SearchedPlan:
+def search(ground: Candidates, starts: Sequence[Choice], rng: np.random.Generator) -> Choice:
     """Return the plan with the highest score that a search reaches from several starting plans.
 
     Its positions are put in ascending or descending order if the score remains the same within `SIMPLER`.
@@ -369,72 +377,44 @@ def search(ground: Candidates, starts: Sequence[Choice], rng: np.random.Generato
     rng : numpy.random.Generator
         Generator for the order of the exchanges.
     """
-    highest = sorted((SearchedPlan(ground, one) for one in starts), key=lambda one: -one.score)
-    for one in highest[: max(_WORK // len(ground.columns), 1)]:
-        one.improve(rng)
-    best = max(highest, key=lambda one: one.score)
+    highest = sorted(starts, key=ground.score, reverse=True)[: max(_WORK // len(ground.columns), 1)]
+    best = max([_improved(ground, one, rng) for one in highest], key=ground.score)
     # These positions in the order of their angles, forwards or backwards.
-    order = np.lexsort((ground.approach[best.choice], ground.angle_deg[best.choice]))
-    simple = best.choice[order]
+    simple = best[np.lexsort((ground.approach[best], ground.angle_deg[best]))]
     for choice in (simple, simple[::-1]):
-        one = SearchedPlan(ground, choice)
-        if one.score >= best.score - SIMPLER and not one.repeats(choice):
-            return one
+        if ground.score(choice) >= ground.score(best) - SIMPLER and not ground.repeats(choice):
+            return choice
     return best
 
 
-class SearchedPlan:
-    """A plan that a search improves.
-
-    Attributes
-    ----------
-    choice : (n,) int
-        Index of each dwell's candidate position.
-    score : float
-        Score of the plan by the criterion of the search.
-    """
-
-    def __init__(self, ground: Candidates, choice: Choice) -> None:
-        self._ground = ground
-        self.choice, self.score = choice.copy(), self._score(choice)
-
-    def _score(self, choice: Choice) -> float:
-        return float(self._ground.scores(self._ground.information(choice)[None])[0])
-
-    def repeats(self, choice: Choice) -> bool:
-        """Return True if two consecutive dwells of a plan are at an equal angle."""
-        return bool((np.diff(self._ground.angle_deg[choice]) == 0).any())
-
-    def improve(self, rng: np.random.Generator) -> None:
-        """Exchange positions and swap dwells until the score no longer rises."""
-        for _ in range(_MOST_SWEEPS):
-            before = self.score
-            self._exchange(rng)
-            # Swap pairs of dwells if this raises the score.
-            pairs = np.array(list(itertools.combinations(range(len(self.choice)), 2)))
-            for one, two in rng.permutation(pairs)[:_PAIRS].tolist():
-                check()
-                trial = self.choice.copy()
-                trial[[one, two]] = trial[[two, one]]
-                score = -math.inf if self.repeats(trial) else self._score(trial)
-                if score > self.score + _LEAST_GAIN:
-                    self.choice, self.score = trial, score
-            if self.score < before + _LEAST_GAIN:
-                break
-
-    def _exchange(self, rng: np.random.Generator) -> None:
-        """Move each dwell in turn to the position with the highest score."""
-        angle = self._ground.angle_deg
-        for dwell in rng.permutation(len(self.choice)).tolist():
+def _improved(ground: Candidates, start: Choice, rng: np.random.Generator) -> Choice:
+    """Exchange positions and swap dwells of a plan until the score no longer rises."""
+    choice, score = start.copy(), ground.score(start)
+    for _ in range(_MOST_SWEEPS):
+        before = score
+        # Move each dwell in turn to the position with the highest score.
+        for dwell in rng.permutation(len(choice)).tolist():
             check()
-            scores = self._ground.scores(self._ground.exchanged(self.choice, dwell))
+            scores = ground.scores(ground.exchanged(choice, dwell))
             # Positions at the angle of the dwell before or after are not allowed.
             for near in (dwell - 1, dwell + 1):
-                if 0 <= near < len(self.choice):
-                    scores[angle == angle[self.choice[near]]] = -np.inf
+                if 0 <= near < len(choice):
+                    scores[ground.angle_deg == ground.angle_deg[choice[near]]] = -np.inf
             best = int(scores.argmax())
-            if scores[best] > self.score + _LEAST_GAIN:
-                self.choice[dwell], self.score = best, float(scores[best])
+            if scores[best] > score + _LEAST_GAIN:
+                choice[dwell], score = best, float(scores[best])
+        # Swap pairs of dwells if this raises the score.
+        pairs = np.array(list(itertools.combinations(range(len(choice)), 2)))
+        for pair in rng.permutation(pairs)[:_PAIRS].tolist():
+            check()
+            trial = choice.copy()
+            trial[pair] = trial[pair[::-1]]
+            reached = -math.inf if ground.repeats(trial) else ground.score(trial)
+            if reached > score + _LEAST_GAIN:
+                choice, score = trial, reached
+        if score < before + _LEAST_GAIN:
+            break
+    return choice
 
 
 LEAST, MOST = 4, 100
@@ -568,7 +548,7 @@ def best_plan(
     beware = tuple(dict.fromkeys(beware))
     ground = candidates(bench, positions, beware, grid_deg, best)
     rng = np.random.default_rng(seed)
-    choice = search(ground, _starts(ground, positions, rng), rng).choice
+    choice = search(ground, _starts(ground, positions, rng), rng)
     information = ground.information(choice)
     prediction = predict(ground.plan(f"{best}-{positions}", choice), bench)
     figure = ground.figure(information)
