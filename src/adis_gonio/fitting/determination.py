@@ -332,11 +332,9 @@ def settle(readings: Readings) -> Settled:
     follow = _Follow(readings, determination)
 
     if not readings.noise_known:
-        modes = readings.stage_modes
         # All that the residual shows counts as noise of each reading, because a part can have less 1/f
         # noise than its figure. Only the errors of the stage are shared.
-        shared = readings.slow
-        alone = replace(readings, slow=shared[:, :, -modes:] if shared is not None and modes else None)
+        alone = replace(readings, slow=readings.slow[:, :, :0])
         noise = _unknown_readings(_Follow(alone, determination), noise, dof, open_sigma)
         determination = follow.determination(noise)
         return Settled(determination, noise, determination.fit.chi2, dof)

@@ -269,10 +269,10 @@ class FitResult(ParameterTable):
         The k errors are independent. Empty without such a certificate, or if the noise is unknown.
         """
         made = self.origin
-        if made is None or made.sources is None or not made.readings.stage_modes:
+        if made is None or made.sources is None or not (errors := made.readings.stage.shape[2]):
             return {}
         fixture = next(source for source in made.sources.each if source.name == FIXTURE)
-        moves = fixture.moves[:, -made.readings.stage_modes :]
+        moves = fixture.moves[:, -errors:]
         return {output.name: output.gradient @ moves for output in made.outputs}
 
     def error_curves(self) -> tuple[ErrorCurve | None, ErrorCurve]:

@@ -177,8 +177,7 @@ def _drawing(made: Origin, rng: np.random.Generator) -> Callable[[], Readings]:
         factor = _students(rng, dof, estimate)
         moved = np.einsum("nab,nb->na", roots, factor * rng.standard_normal((n, axes)))
         moved += flicker * rng.standard_normal((n, axes)) + rounding * rng.uniform(-1, 1, (n, axes))
-        if data.slow is not None:
-            moved += data.slow @ rng.standard_normal(data.slow.shape[2])
+        moved += data.shared @ rng.standard_normal(data.shared.shape[2])
         if noise.extra_mg:
             moved += noise.extra_mg * _student(rng, noise.dof) * rng.standard_normal((n, axes))
         if sigma.any():

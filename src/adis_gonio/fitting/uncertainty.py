@@ -389,21 +389,17 @@ def _repeatability(data: Readings, noise: NoiseAssumptions, response: Floats) ->
 
 
 def _flicker(data: Readings, response: Floats) -> Source:
-    axes = data.axes
-    moves, variance = [np.zeros((len(response), 0))], np.zeros(axes)
+    moves = np.einsum("pna,nak->pk", response, data.slow)
+    variance = (data.slow**2).sum(axis=2).mean(axis=0)
     if data.flicker is not None and data.flicker.any():
-        moves.append(_each(response, _diagonal(np.sqrt(data.flicker))))
+        moves = np.concatenate([_each(response, _diagonal(np.sqrt(data.flicker))), moves], axis=1)
         variance = variance + data.flicker.mean(axis=0)
-    if data.slow is not None:
-        noise = data.slow[:, :, : data.slow.shape[2] - data.stage_modes]
-        moves.append(np.einsum("pna,nak->pk", response, noise))
-        variance = variance + (noise**2).sum(axis=2).mean(axis=0)
     kind: Kind = "A" if data.flicker_shown else "B"
     note = "none shown, no figure of the part"
     if variance.any():
         note = "shown by the dwells" if data.flicker_shown else "figure of the part"
-    u, joined = float(np.sqrt(variance.mean())), np.concatenate(moves, axis=1)
-    return Source(FLICKER, kind, "normal", u, joined, note, reading_mg2=np.diag(variance))
+    u = float(np.sqrt(variance.mean()))
+    return Source(FLICKER, kind, "normal", u, moves, note, reading_mg2=np.diag(variance))
 
 
 def _fixture(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats) -> Source:
@@ -412,14 +408,12 @@ def _fixture(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats
         moves = np.einsum("pna,na,n->pn", response, fit.tangent[:, :, 0], sigma)
     else:
         moves = np.zeros((len(response), 0))
-    certified = np.zeros((len(response), 0))
+    certified = np.einsum("pna,nak->pk", response, data.stage)
     u_rad = noise.sigma_rad
-    if data.slow is not None and data.stage_modes:
-        shared = data.slow[:, :, -data.stage_modes :]
-        certified = np.einsum("pna,nak->pk", response, shared)
+    if certified.shape[1]:
         # An error of the stage moves a reading by its length per rad.
-        length = np.linalg.norm(data.mean, axis=1)
-        u_rad = math.hypot(u_rad, math.sqrt(float(((shared**2).sum(axis=(1, 2)) / length**2).mean())))
+        of_stage = (data.stage**2).sum(axis=(1, 2)) / (data.mean**2).sum(axis=1)
+        u_rad = math.hypot(u_rad, math.sqrt(float(of_stage.mean())))
     free = not data.planar or data.free
     estimated = math.isfinite(noise.sigma_dof)
     note = "attitudes are free: none enters" if free else ""

@@ -307,7 +307,7 @@ def candidates(
     flicker = readings.flicker
     assert flicker is not None  # expected readings state it, even if it is zero
     white = float(readings.own_covariance[0, 0, 0] - flicker[0, 0])
-    slow = np.zeros((2 * n, 1)) if readings.slow is None else readings.slow.reshape(2 * n, -1)
+    slow = readings.slow.reshape(2 * n, readings.slow.shape[2])
     return Candidates(
         best=best,
         angle_deg=place,

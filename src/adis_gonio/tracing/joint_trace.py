@@ -13,7 +13,7 @@ The field `serial` of a session identifies its part, the field `stage` its stage
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import field, fields, replace
 from pathlib import PurePath
 from typing import Any, ClassVar
@@ -388,7 +388,8 @@ def stack(each: Sequence[Readings], origins: Sequence[SessionOrigin]) -> Reading
         first,
         **joined,
         conditions=_conditions([one.conditions for one in each], session),
-        slow=_modes(each, origins),
+        slow=_modes([one.slow for one in each], range(len(each))),
+        stage=_modes([one.stage for one in each], [one.stage or k for k, one in enumerate(origins)]),
         flicker_shown=any(one.flicker_shown for one in each),
         pooled=all(one.pooled for one in each),
         notes=tuple(dict.fromkeys(note for one in each for note in one.notes)),
@@ -423,27 +424,16 @@ def _conditions(each: Sequence[Conditions], session: NDArray[np.intp]) -> Condit
     return Conditions(**made)
 
 
-def _modes(each: Sequence[Readings], origins: Sequence[SessionOrigin]) -> Floats | None:
-    """Join the modes (n, axes, k) of the noise that the dwells of each session share; None without modes.
+def _modes(each: Sequence[Floats], owners: Iterable[Hashable]) -> Floats:
+    """Join the modes (n, axes, k) of errors that the dwells of each session share.
 
-    A mode is an independent error that acts on several readings. The modes of the sessions come first, then
-    the modes of the certificates of their stages. Sessions on one stage (see `origins`) share the modes of
-    its certificate if they have equally many.
+    A mode is an independent error that acts on several readings. Sessions with one owner of the modes (such
+    as a stage) share them if they have equally many.
     """
-    n, axes = sum(len(one) for one in each), each[0].axes
-    blocks: dict[tuple[str, int | str, int], Floats] = {}
-    start = 0
-    for k, (one, origin) in enumerate(zip(each, origins, strict=True)):
-        end = start + len(one)
-        if one.slow is not None:
-            own = one.slow.shape[2] - one.stage_modes
-            for key, modes in (
-                (("own", k, own), one.slow[:, :, :own]),
-                (("stage", origin.stage or k, one.stage_modes), one.slow[:, :, own:]),
-            ):
-                block = blocks.setdefault(key, np.zeros((n, axes, key[2])))
-                block[start:end] = modes
-        start = end
-    ordered = [blocks[key] for key in sorted(blocks, key=lambda key: key[0])]
-    joined = np.concatenate(ordered, axis=2) if ordered else np.zeros((n, axes, 0))
-    return joined if joined.shape[2] else None
+    n, start = sum(map(len, each)), 0
+    blocks: dict[tuple[Hashable, int], Floats] = {}
+    for modes, owner in zip(each, owners, strict=True):
+        block = blocks.setdefault((owner, modes.shape[2]), np.zeros((n, *modes.shape[1:])))
+        block[start : start + len(modes)] = modes
+        start += len(modes)
+    return np.concatenate([*blocks.values()], axis=2)

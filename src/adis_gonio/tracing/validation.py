@@ -643,7 +643,8 @@ def disagreement_p_value(fit: Fit, others: Readings, inflation: float = 1.0) -> 
     whitened columns X (Cook and Weisberg, Residuals and Influence in Regression, 1982, chapter 2). Noise
     that dwells share is treated as independent noise of each dwell.
     """
-    alone = replace(others, own_covariance=others.covariance, slow=None)
+    none = others.slow[:, :, :0]
+    alone = replace(others, own_covariance=others.covariance, slow=none, stage=none)
     there = fit.on(alone)
     residual = there.residual.ravel() / np.sqrt(inflation)
     carried = fit.carried(there)  # carried · carriedᵀ = X C Xᵀ

@@ -65,7 +65,7 @@ def with_attitudes(fit: Fit) -> Floats:
     """C⁻¹ of all readings, dense: own noise, what dwells share, and each attitude at its prior."""
     data, n = fit.data, len(fit.data)
     dense = block_diag(*data.own_covariance)
-    if data.slow is not None:
+    if data.slow.size:
         flat = data.slow.reshape(dense.shape[0], -1)
         dense = dense + flat @ flat.T
     known = np.isfinite(fit.data.fixture)

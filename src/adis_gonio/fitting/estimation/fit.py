@@ -234,8 +234,8 @@ class Fit:
         Each error has its standard deviation as size. The errors by 1/f noise of the readings come first,
         then the errors by the gyros that measured the links. None without such errors.
         """
-        slow, links = self.data.slow, self.link_rows
-        found = [] if slow is None or not slow.shape[2] else [self._own(slow)]
+        links = self.link_rows
+        found = [self._own(self.data.shared)] if self.data.shared.shape[2] else []
         if links is not None:
             own = links.modes
             # Modes of the gyros do not act on the rows of dwells, which come first.

@@ -145,11 +145,11 @@ class Readings(ComputedOnce):
         Numbers of the dwells in the file, and their numbers of samples.
     unit : Unit
         Unit of the file.
-    slow : (n, axes, k) float or None
+    slow : (n, axes, k) float
         Contribution of each of k independent modes of unit variance to the readings: the noise that dwells
-        share (1/f noise, whose modes of different axes are independent). None without such noise.
-    stage_modes : int
-        Number of modes, the last ones of `slow`, that are errors of the stage by its certificate.
+        share (1/f noise, whose modes of different axes are independent).
+    stage : (n, axes, q) float
+        Contribution of each of q independent errors of the stage by its certificate, of unit variance.
     quantization, flicker : (n, axes) float or None
         Parts of `own_covariance` from quantization and 1/f noise; None without them.
     flicker_shown : bool
@@ -187,8 +187,8 @@ class Readings(ComputedOnce):
     position: NDArray[np.intp]
     samples: NDArray[np.intp]
     unit: Unit
-    slow: Floats | None = None
-    stage_modes: int = 0
+    slow: Floats
+    stage: Floats
     quantization: Floats | None = None
     flicker: Floats | None = None
     flicker_shown: bool = False
@@ -286,11 +286,14 @@ class Readings(ComputedOnce):
         return self.model.visible(self.mean, np.isfinite(self.fixture))
 
     @cached_property
+    def shared(self) -> Floats:
+        """Contributions (n, axes, k + q) of all modes that dwells share: `slow`, then `stage`."""
+        return np.concatenate([self.slow, self.stage], axis=2)
+
+    @cached_property
     def covariance(self) -> Floats:
-        """Covariance (n, axes, axes) of the mean readings in mg², including noise that dwells share."""
-        if self.slow is None:
-            return self.own_covariance
-        shared: Floats = (self.slow**2).sum(axis=2)[:, :, None] * np.eye(self.axes)
+        """Covariance (n, axes, axes) of the mean readings in mg², including errors that dwells share."""
+        shared: Floats = (self.shared**2).sum(axis=2)[:, :, None] * np.eye(self.axes)
         return self.own_covariance + shared
 
     @cached_property
@@ -369,6 +372,8 @@ def from_means(
         position=np.arange(n, dtype=np.intp),
         samples=np.ones(n, dtype=np.intp),
         unit=in_mg(axes),
+        slow=np.zeros((n, axes, 0)),
+        stage=np.zeros((n, axes, 0)),
     )
     return replace(made, **others)  # type: ignore[arg-type]
 
@@ -531,7 +536,7 @@ def reduced(session: Session) -> Readings:
 
     covariance = np.broadcast_to(np.eye(axes), (n, axes, axes)).copy()
     dof = np.full(n, np.inf)
-    slow: Floats | None = None
+    slow = np.zeros((n, axes, 0))
     parts: dict[str, Any] = {}
     single = np.flatnonzero((samples == 1) | _without_noise(session, dwells, axes))
     many = np.setdiff1d(np.arange(n), single)
@@ -551,9 +556,8 @@ def reduced(session: Session) -> Readings:
         quantum = mg * np.maximum(steps, float(session.accel_unit == "lsb"))
         begin_s, end_s = spectrum.spans([dwells[k].time_s for k in many.tolist()])
         own, shared_noise = flicker_parts(begin_s, end_s, flicker_of(noise, _stated_flicker(session)))
-        if shared_noise is not None:
-            slow = np.zeros((n, *shared_noise.shape[1:]))
-            slow[many] = shared_noise
+        slow = np.zeros((n, *shared_noise.shape[1:]))
+        slow[many] = shared_noise
         rounding, level = np.zeros((n, axes)), np.zeros((n, axes))
         rounding[many], level[many] = quantization_variance(rows, mg, quantum), own
         covariance[many] = noise.covariance + (rounding + level)[many, :, None] * np.eye(axes)
@@ -574,8 +578,6 @@ def reduced(session: Session) -> Readings:
         order = np.arange(float(n))
         _, slow = flicker_parts(order, order + 1, np.full(axes, _stated_flicker(session)))
     angle, of_stage = _stage(session, dwells, mean)
-    if of_stage is not None:
-        slow = of_stage if slow is None else np.concatenate([slow, of_stage], axis=2)
     return Readings(
         mean=mean,
         own_covariance=covariance,
@@ -591,7 +593,7 @@ def reduced(session: Session) -> Readings:
         samples=samples,
         unit=unit,
         slow=slow,
-        stage_modes=0 if of_stage is None else of_stage.shape[2],
+        stage=of_stage,
         sensor=session.sensor,
         offset_mg=_offsets_mg(session),
         notes=tuple(notes),
@@ -600,15 +602,15 @@ def reduced(session: Session) -> Readings:
     )
 
 
-def _stage(session: Session, dwells: list[Dwell], mean: Floats) -> tuple[Floats, Floats | None]:
+def _stage(session: Session, dwells: list[Dwell], mean: Floats) -> tuple[Floats, Floats]:
     """Return the declared angles (n,) in rad, corrected by the stage's certificate, and its errors.
 
-    The errors (n, axes, k) in mg change the means (n, axes) by one standard deviation each, and dwells
-    share them. None without a certificate.
+    The errors (n, axes, q) in mg change the means (n, axes) by one standard deviation each, and dwells
+    share them. Without a certificate q is 0.
     """
     angle = np.radians([np.nan if d.angle_deg is None else d.angle_deg for d in dwells])
     if session.stage_curve is None:
-        return angle, None
+        return angle, np.zeros((*mean.shape, 0))
     error_deg, changes_deg = session.stage_curve.at(np.degrees(np.nan_to_num(angle)))
     angle = angle - np.radians(error_deg)
     # A reading (x, y) moves by (y, −x) per rad of the stage.
@@ -661,7 +663,7 @@ def _usable(session: Session, axes: int) -> tuple[list[Dwell], screening.Convert
     return dwells, converter, screening.limit_notes(limits, session.accel_unit)
 
 
-def flicker_parts(begin_s: Floats, end_s: Floats, flicker: Floats) -> tuple[Floats, Floats | None]:
+def flicker_parts(begin_s: Floats, end_s: Floats, flicker: Floats) -> tuple[Floats, Floats]:
     """Split the 1/f noise of dwell means into a part of each mean alone and a part that means share.
 
     The noise is the deviation from the mean over a time twice as long as the session
@@ -678,13 +680,13 @@ def flicker_parts(begin_s: Floats, end_s: Floats, flicker: Floats) -> tuple[Floa
     -------
     (m, axes) float in mg²
         Variance of each mean alone.
-    (m, axes, k) float in mg, or None
+    (m, axes, k) float in mg
         Change of the means by each of k independent errors, which the means share, at one standard
-        deviation; None if they share no noise.
+        deviation.
     """
     m, axes = len(begin_s), len(flicker)
     if not (2 <= m <= MOST_SHARED and flicker.any()):
-        return np.tile(flicker * spectrum.scatter_of_means(m), (m, 1)), None
+        return np.tile(flicker * spectrum.scatter_of_means(m), (m, 1)), np.zeros((m, axes, 0))
     factor, left = spectrum.modes(spectrum.covariance_of_means(begin_s, end_s))
     k = factor.shape[1]
     slow = np.zeros((m, axes, axes * k))

@@ -447,10 +447,10 @@ def readings_of_intervals(
     covariance = column("covariance_dps2") + column("rotation_covariance_dps2")
     force, still = _changing_force(column("force_g"))
     # Modes (n, 3, k) of the 1/f noise and of errors of the accelerometers, which turns share.
-    shared = [] if slow is None else [slow]
     modes = [row["rotation_modes_dps"] for row in intervals.rows]
     if (first := next((one for one in modes if one is not None), None)) is not None:
-        shared.append(np.array([np.zeros_like(first) if one is None else one for one in modes]))
+        turns = np.array([np.zeros_like(first) if one is None else one for one in modes])
+        slow = np.concatenate([slow, turns], axis=2)
     return Readings(
         mean=column("mean_dps"),
         own_covariance=covariance + flicker[:, :, None] * np.eye(3),
@@ -465,7 +465,8 @@ def readings_of_intervals(
         position=column("position"),
         samples=column("samples"),
         unit=Unit("dps", np.zeros(3), np.ones(3)),
-        slow=np.concatenate(shared, axis=2) if shared else None,
+        slow=slow,
+        stage=np.zeros((n, 3, 0)),
         flicker=flicker,
         flicker_shown=bool((noise.flicker > 0).any()),
         pooled=noise.pooled,
