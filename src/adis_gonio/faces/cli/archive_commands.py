@@ -144,12 +144,8 @@ def history_command(*, serial: str, output: Path | None, as_json: bool, **indexe
         found = history_of(serial, _records_of(store, serial))
     if output is not None:
         show.write_page(output, history_page(found))
-    if as_json:
-        show.print_json(found.as_dict())
-        return
-    screen = show.console(most=80)
-    screen.print(f"Sensor {found.serial}", style="bold")
-    show.print_sections(screen, history_sections(found, figures=False))
+    sections = history_sections(found, figures=False)
+    show.print_result(found, f"Sensor {found.serial}", sections, as_json=as_json)
 
 
 @option.command("due")
@@ -261,13 +257,8 @@ def fleet_command(
             fleet = run_fleet(names, Options(trace=trace, evidence=population), store, pool)
         for path in outputs:
             fleet.write(path)
-    if as_json:
-        show.print_json(fleet.as_dict())
-    else:
-        screen = show.console()
-        screen.print(headline(fleet.summary), style="bold")
-        lines = fleet.population_lines
-        show.print_sections(screen, fleet_sections(fleet.summary, fleet.repeated, lines, figures=False))
+    sections = fleet_sections(fleet.summary, fleet.repeated, fleet.population_lines, figures=False)
+    show.print_result(fleet, headline(fleet.summary), sections, as_json=as_json, most=0)
     for path in outputs:
         show.report_written(path, counted(len(fleet.records), "session"))
     if fleet.failed:

@@ -289,9 +289,5 @@ def allan_command(
         found = fit_allan(loaded, part, filter_m=filter_m)
     if output is not None:
         show.write_page(output, allan_page(found))
-    if as_json:
-        show.print_json(found.as_dict())
-    else:
-        screen = show.console(most=80)
-        screen.print(f"Noise at rest of the {title_of(found)} ({found.sensor})", style="bold")
-        show.print_sections(screen, [section_of(found, figures=False)])
+    title = f"Noise at rest of the {title_of(found)} ({found.sensor})"
+    show.print_result(found, title, [section_of(found, figures=False)], as_json=as_json)

@@ -157,6 +157,18 @@ def print_sections(screen: Console, sections: Iterable[Section]) -> None:
         print_sections(screen, section.parts)
 
 
+def print_result(
+    result: Any, title: str, sections: Iterable[Section], *, as_json: bool, most: int = 80
+) -> None:
+    """Print a result as its JSON document, or as a title with sections of at most `most` columns."""
+    if as_json:
+        print_json(result.as_dict())
+        return
+    screen = console(most=most)
+    screen.print(title, style="bold")
+    print_sections(screen, sections)
+
+
 def check_page(output: Path | None) -> None:
     """Raise `NotInstalledError` if an HTML page is wanted and its figures cannot be drawn.
 

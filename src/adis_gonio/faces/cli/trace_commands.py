@@ -84,7 +84,7 @@ def trace_command(
 
 def print_trace(sessions: Sequence[Session], result: TraceResult) -> None:
     """Show the result of a trace of one or more sessions on the terminal, by sections of the report."""
-    from adis_gonio.handover.calibration_report import errors_section, found_section, what_if_section
+    from adis_gonio.handover import calibration_report as report
     from adis_gonio.page.document import Section
     from adis_gonio.tracing import trace_summary as summary
     from adis_gonio.tracing.joint_trace import JointResult
@@ -92,10 +92,6 @@ def print_trace(sessions: Sequence[Session], result: TraceResult) -> None:
     screen = show.console(most=show.WIDTH)
     for session in sessions:
         screen.print(f"{summary.title(session)}: {summary.shape(session)}")
-    show.print_sections(screen, what_if_section(result, figures=False))
-    screen.print()
-    screen.print(summary.headline(result), style="bold")
-    screen.print(summary.gains(result))
     seen = summary.sight(result)
     smallest = {name: summary.amplitude(entry) for name, entry in result.detectable.items()}
     weak = ", ".join(f"{name} from {smallest[name]}" for name in seen.weak)
@@ -113,8 +109,10 @@ def print_trace(sessions: Sequence[Session], result: TraceResult) -> None:
         "What to measure next": summary.advice(result),
         "Remarks": [*notes, *result.notes],
     }
-    rest = [Section(title, points=texts) for title, texts in points.items()]
-    show.print_sections(screen, [found_section(result), errors_section(result), *rest])
+    sections = [*report.what_if_section(result, figures=False), report.summary_section(result)]
+    sections += [report.found_section(result), report.errors_section(result)]
+    sections += [Section(title, points=texts) for title, texts in points.items()]
+    show.print_sections(screen, sections)
 
 
 # -- the closed loop of `calibrate --trace` ----------------------------------------------------------
