@@ -19,7 +19,7 @@ import math
 import re
 from array import array
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -58,30 +58,42 @@ _SIGNS = {"0": 0, "+1": 1, "1": 1, "+1.0": 1, "1.0": 1, "-1": -1, "-1.0": -1}
 
 
 class SamplesTable:
-    """The rows of a samples file as arrays of numbers, in the units of the format; `take` adds rows.
+    """The rows of a samples file as arrays of numbers, in the units of the format.
 
     Parameters
     ----------
-    head : Head
-        Keys, header, delimiter and remarks of the file.
+    path : Path
+        File to read.
+    wanted : mapping of str to str
+        Column of the format → column of the header, as the user assigned them.
 
     Attributes
     ----------
+    head : Head
+        Keys, header, delimiter and remarks of the file.
     series : dict of str to (n,), (n, 2) or (n, 3) float
-        Samples by the fields of a `Dwell`, without fields that the file lacks; complete after `finish`.
+        Samples by the fields of a `Dwell`, without fields that the file lacks.
     runs : dict of str to list of (int, value)
         Columns with one value for each dwell: first row and value of each run of equal text, None if it is
-        empty; complete after `finish`.
+        empty.
     notes : list of str
         Remarks on the head and on rows that were left out.
     lines : array of int
         Line number in the file, from 1, of each row of the table.
     began : datetime or None
         Time of the first row; None unless the file has times of the wall clock.
+
+    Raises
+    ------
+    DataError
+        The file is no samples CSV, or a row has a value that cannot be used; see `read_samples_csv`.
+    UsageError
+        `wanted` names a column that does not exist.
     """
 
-    def __init__(self, head: samples_header.Head) -> None:
-        self.head, self.notes = head, list(head.notes)
+    def __init__(self, path: Path, wanted: Mapping[str, str]) -> None:
+        self.head = head = samples_header.read_head(path, wanted)
+        self.notes = list(head.notes)
         self.series: dict[str, Floats] = {}
         self.runs: dict[str, Runs] = {name: [] for name in head.columns if COLUMNS[name].per_dwell}
         present = {name: [m for m in members if m in head.columns] for name, members in SERIES.items()}
@@ -97,6 +109,11 @@ class SamplesTable:
         self._repeated, self._first_repeated = 0, 0
         self._waiting: tuple[int, str, str] | None = None
         """Line allowed only at the end: its number, the error elsewhere, the note at the end; or None."""
+        tell: Callable[[str], Any] = current().tell
+        for chunk in samples_header.read_chunks(path, after=head.line):
+            tell(f"{chunk.share:.0%}")
+            self._take(chunk)
+        self._finish()
 
     def __len__(self) -> int:
         return self._rows
@@ -155,7 +172,7 @@ class SamplesTable:
 
     # -- rows -----------------------------------------------------------------------------------------
 
-    def take(self, chunk: samples_header.Chunk) -> None:
+    def _take(self, chunk: samples_header.Chunk) -> None:
         """Add the rows in the next chunk of the file's lines to the table."""
         rows, lines = [], []
         for number, line in enumerate(chunk.lines, chunk.first):
@@ -311,7 +328,7 @@ class SamplesTable:
             wrong = f"{cell} is {kind}; leave such rows out"
         raise self.fail(line, f"column '{name}': {wrong}")
 
-    def finish(self) -> None:
+    def _finish(self) -> None:
         """Make the arrays after the last chunk, and add remarks on the rows.
 
         Raises
@@ -362,28 +379,6 @@ def _cut_note(number: int) -> str:
     return f"row {number} is the last one and was cut short: it was ignored"
 
 
-def read_table(path: Path, wanted: dict[str, str]) -> SamplesTable:
-    """Read the rows of a samples CSV.
-
-    `wanted` maps a column of the format to a column of the header, as the user assigned them.
-
-    Raises
-    ------
-    DataError
-        The file is no samples CSV, or a row has a value that cannot be used; see `read_samples_csv`.
-    UsageError
-        `wanted` names a column that does not exist.
-    """
-    head = samples_header.read_head(path, wanted)
-    table = SamplesTable(head)
-    tell: Callable[[str], Any] = current().tell
-    for chunk in samples_header.read_chunks(path, after=head.line):
-        tell(f"{chunk.share:.0%}")
-        table.take(chunk)
-    table.finish()
-    return table
-
-
 MOST_DWELLS = MOST_POSITIONS
 """Largest number of positions in a file, as in a plan: the memory of a fit grows with their square."""
 
@@ -404,7 +399,7 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
         `overrides` names a column that does not exist.
     """
     path, overrides = Path(path), overrides or Overrides()
-    table = read_table(path, dict(overrides.columns))
+    table = SamplesTable(path, overrides.columns)
     settings = table.head.settings(unit_given=overrides.accel_unit is not None)
     if table.began is not None:
         # A time without a zone is taken as UTC.
