@@ -115,10 +115,7 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
 
     def __getitem__(self, name: str) -> Coefficient:
         """Return the parameter of this name; `KeyError` if there is none."""
-        for one in self.parameters:
-            if one.name == name:
-                return one
-        raise KeyError(name)
+        return {one.name: one for one in self.parameters}[name]
 
     def __contains__(self, name: object) -> bool:
         return name in self.names

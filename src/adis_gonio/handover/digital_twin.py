@@ -85,21 +85,18 @@ def noise_of(session: Session, unit: Unit) -> SamplesNoise:
     # Spectral density at zero: variance of a mean times its duration.
     density = np.median(diagonals * counts[:, np.newaxis], axis=0) * period_s
     variance = np.mean([part.var(axis=0, ddof=1) for part in samples], axis=0)
-    stated = session.facts.get("configuration")
-    if not isinstance(stated, dict) or "smpl_prd" not in stated:  # a generic sensor has no settings
-        stated = None
-    if stated is not None:
-        smpl_prd, filter_m = int(stated["smpl_prd"]), int(stated["filter_m"])
-    else:
-        slowest, fastest = 1 / sample_period_s(0xFF), 1 / sample_period_s(1)
-        smpl_prd = smpl_prd_for(min(max(1 / period_s, slowest), fastest))
-        filter_m = 0
+    stated = session.facts.get("configuration") or {}
+    if "smpl_prd" not in stated:  # a generic sensor has no settings, and a CSV does not state them
+        stated = {}
+    slowest, fastest = 1 / sample_period_s(0xFF), 1 / sample_period_s(1)
+    nearest = smpl_prd_for(min(max(1 / period_s, slowest), fastest))
+    smpl_prd = int(stated.get("smpl_prd", nearest))
     # White noise of that density at the sample rate of the chip.
     white = np.sqrt(density / sample_period_s(smpl_prd))
-    if stated is None:
-        noisy = (variance > 0) & (white > 0)  # a constant axis shows no filter
-        target = float(np.mean(np.log(variance[noisy] / white[noisy] ** 2))) if noisy.any() else 0.0
-        filter_m = min(range(7), key=lambda m: abs(math.log((filter_weights(m) ** 2).sum()) - target))
+    noisy = (variance > 0) & (white > 0)  # a constant axis shows no filter
+    target = float(np.mean(np.log(variance[noisy] / white[noisy] ** 2))) if noisy.any() else 0.0
+    nearest = min(range(7), key=lambda m: abs(math.log((filter_weights(m) ** 2).sum()) - target))
+    filter_m = int(stated.get("filter_m", nearest))
     return SamplesNoise(smpl_prd, filter_m, white, np.sqrt(means.flicker))
 
 
@@ -133,15 +130,8 @@ class TermEffect(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters of the term with their bounds.
-
-        They have no units, since the values are used as the fit gave them.
-        """
-        bounds = np.zeros((0, 2)) if self.term.bounds is None else self.term.bounds
-        return tuple(
-            Parameter(f"value_{k}", "", float(low), float(high), 0.0)
-            for k, (low, high) in enumerate(bounds)
-        )
+        """No parameters: the values are used as the fit gave them."""
+        return ()
 
     def attitude_rad(self, values: Floats, conditions: Conditions) -> Floats:
         """Return the angle in rad (n,) by which the term turns the sensor."""
