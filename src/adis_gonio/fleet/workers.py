@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import logging
 import os
-import queue
 import signal
 import time
 from collections import deque
@@ -30,7 +29,7 @@ from adis_gonio.base.errors import FleetError, NotInstalledError, UsageError, in
 from adis_gonio.fleet.session_record import Job, Options, SessionRecord, lost, work
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Client
 
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 _LOOK_S = 0.5
@@ -186,43 +185,29 @@ class Cluster:
         FleetError
             The scheduler has gone, or all of its workers have gone.
         """
-        arrived: queue.SimpleQueue[Future] = queue.SimpleQueue()
-        waiting = iter(jobs)
-        running: dict[Future, Job] = {}
+        executor, waiting = self._client.get_executor(pure=False), iter(jobs)
+        running: dict[futures.Future[SessionRecord], Job] = {}
         try:
             while True:
                 # Submit few jobs at a time: waiting jobs cannot be lost here and do not slow the scheduler.
                 wanted = max(1, 2 * self._threads()) - len(running)
                 for job in islice(waiting, max(0, wanted)):
                     request = (job.path, job.digest, options.as_dict(), __version__)
-                    future = self._client.submit(work, *request, pure=False)
-                    running[future] = job
-                    future.add_done_callback(arrived.put)
+                    running[executor.submit(work, *request)] = job
                 if not running:
                     return
-                with suppress(queue.Empty):
-                    future = arrived.get(timeout=_LOOK_S)
+                # The cluster computes a job again if its worker dies.
+                for future in futures.wait(running, _LOOK_S, futures.FIRST_COMPLETED).done:
                     yield self._record(running.pop(future), future)
         finally:
             with suppress(Exception):
-                self._client.cancel(list(running), force=True)
+                executor.shutdown(wait=False)
 
-    def _record(self, job: Job, future: Future) -> SessionRecord:
-        """Wait for the record of a job; if its worker dies, the cluster computes the job again.
-
-        `future` is the job at the cluster.
-        """
-        while True:
-            if future.status == "cancelled":
-                raise FleetError(f"the scheduler at {self.address} has gone")
-            try:
-                record: SessionRecord = future.result(timeout=_LOOK_S)
-            except TimeoutError:
-                self._threads()
-            except Exception as error:  # KilledWorker, or a worker that cannot import this package
-                return lost(job.path, f"its workers failed: {_error_text(error)}")
-            else:
-                return record
+    def _record(self, job: Job, future: futures.Future[SessionRecord]) -> SessionRecord:
+        if future.cancelled():
+            raise FleetError(f"the scheduler at {self.address} has gone")
+        error = future.exception()  # KilledWorker, or a worker that cannot import this package
+        return lost(job.path, f"its workers failed: {_error_text(error)}") if error else future.result()
 
     def _threads(self) -> int:
         """Return the number of sessions that the cluster can compute at once.
