@@ -19,7 +19,7 @@ from adis_gonio.base.numbers import format_uncertain, signed
 from adis_gonio.base.uncertainty import NORMAL_95
 from adis_gonio.bench.events import GuardKind, TurnMeasured, Vector
 from adis_gonio.model.effects.base import AXES
-from adis_gonio.record.blocks import Block, session_columns, session_series
+from adis_gonio.record.blocks import Block, gyro_rates, session_columns
 from adis_gonio.record.plans import GAIN_LIMIT, Expectation, K, Position, PriorKnowledge, turned_deg
 from adis_gonio.record.stillness import SHIFT_MG
 
@@ -246,7 +246,7 @@ class Turning:
 
         The mean rate of the dwell is the zero rate of the gyros in this turn.
         """
-        rates = _rates(dwell)
+        rates = gyro_rates(dwell)
         self._broken = rates is None or not len(dwell)
         if rates is None or self._broken:
             return
@@ -256,7 +256,7 @@ class Turning:
 
     def see(self, block: Block) -> None:
         """Integrate the rates of the next samples; samples of the ended dwell are skipped."""
-        rates = _rates(block)
+        rates = gyro_rates(block)
         if self._bias is None or rates is None or not len(block):
             return
         new = block.time_s > self._last_s
@@ -286,11 +286,6 @@ class Turning:
         wander = math.hypot(INSTABILITY_DPS, G_SENSITIVITY_DPS) * self._length_s
         noise = GYRO_NOISE_DPS * math.sqrt(self._period_s * self._length_s)
         return GyroIntegral(self._angle, math.hypot(wander, noise, SCALE_ERROR * self._travel))
-
-
-def _rates(block: Block) -> Floats | None:
-    rates: Floats | None = session_series(session_columns(block))["gyro"]
-    return rates
 
 
 @dataclass(frozen=True)

@@ -134,6 +134,16 @@ def die_temperatures(block: Block) -> Floats | None:
     return block.select(TEMP_OUT).values()
 
 
+def gyro_rates(block: Block) -> Floats | None:
+    """Return the rates of turn (n, 3) in °/s; None without all gyros or without their range."""
+    names = SERIES["gyro"] if isinstance(block, ValueBlock) else GYRO_OUT
+    if any(name not in block.registers for name in names):
+        return None
+    if isinstance(block, ValueBlock):
+        return block.columns(*names)
+    return block.gyro_dps if block.gyro_range_dps else None
+
+
 def session_columns(block: Block) -> dict[str, Floats]:
     """Convert a block to the columns of a session: a mapping from a column's name to its values (n,).
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -439,6 +439,9 @@ def scales(
     return np.array(lsb), np.array(zero), tuple(units)
 
 
+_table_of = cache(registers)
+
+
 @dataclass(frozen=True)
 class ScanBlock:
     """Successive scans of the same registers, with their times.
@@ -477,7 +480,7 @@ class ScanBlock:
     @property
     def table(self) -> tuple[Register, ...]:
         """Descriptions of the registers, one for each column."""
-        return registers(self.registers)
+        return _table_of(self.registers)
 
     def numbers(self) -> NDArray[np.int32]:
         """Return the decoded register contents (n, k) as signed integers, without flags and unused bits."""
