@@ -94,12 +94,12 @@ def calibration_of(world: World, rng: np.random.Generator) -> GyroCalibration:
     return GyroCalibration.of(found)
 
 
-def one(seed: int, part: str = PARTS[0], false: bool = True) -> Row:
+def one(seed: int, part: str = PARTS[0], false: bool = True, at: Sequence[int] = POSES) -> Row:
     """One part with all numbers of poses, and its false gyros."""
-    session, world = session_of(seed, max(POSES), part)
+    session, world = session_of(seed, max(at), part)
     calibrated = calibration_of(world, np.random.default_rng([seed, 1]))
     row: Row = {"seed": seed, "part": part, "poses": {}, "false": {}}
-    for poses in POSES:
+    for poses in at:
         first = first_of(session, poses)
         true = truth_of(world, first)
         row["poses"][str(poses)] = {
@@ -189,7 +189,7 @@ def spoilt(session: Session, spoil: Spoil) -> Session:
 def summary(rows: Sequence[Row]) -> dict[str, Any]:
     """Coverage and ratios by number of poses, and what became of false gyros."""
     found: dict[str, Any] = {"sessions": len(rows), "poses": {}, "false": {}}
-    for poses in map(str, POSES):
+    for poses in rows[0]["poses"]:
         at: dict[str, Any] = {}
         for way in WAYS:
             told = [row["poses"][poses][way] for row in rows]
@@ -239,18 +239,18 @@ def _ratio(rows: Sequence[Row], poses: str, way: str) -> dict[str, float | None]
     return found
 
 
-def _seeded(task: tuple[int, str], false: bool) -> Row:
-    return one(*task, false=false)
+def _seeded(task: tuple[int, str], false: bool, at: Sequence[int]) -> Row:
+    return one(*task, false=false, at=at)
 
 
-def run(sessions: int, seed: int, jobs: int) -> list[Row]:
-    """All sessions, the two parts in turn."""
+def run(sessions: int, seed: int, jobs: int, at: Sequence[int] = POSES) -> list[Row]:
+    """All sessions with these numbers of poses, the two parts in turn."""
     seeds = [int(s) for s in np.random.SeedSequence(seed).generate_state(sessions)]
     tasks = [(s, PARTS[k % len(PARTS)]) for k, s in enumerate(seeds)]
     if jobs == 1:
-        return [_seeded(task, false=True) for task in tasks]
+        return [_seeded(task, false=True, at=at) for task in tasks]
     with ProcessPoolExecutor(jobs) as pool:
-        return list(pool.map(partial(_seeded, false=True), tasks, chunksize=1))
+        return list(pool.map(partial(_seeded, false=True, at=at), tasks, chunksize=1))
 
 
 def main() -> int:

@@ -349,7 +349,7 @@ def judged(arguments: tuple[str, int, int, int, float, float, bool]) -> Outcome:
 
 def counts(populations: int) -> dict[str, int]:
     """Populations of each kind: a hundred with an effect and a hundred without, some of the others."""
-    few = max(populations // 5, 2)
+    few = max(populations // 5, 1)
     return {"effect": populations, "none": populations, "scatter": few, "foreign": few, "gross": few}
 
 

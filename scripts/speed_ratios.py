@@ -32,7 +32,7 @@ from speed.timing import DisagreementError, Row
 
 NEEDS = {"fit": ("lmfit", "imucal"), "trace": ("sklearn", "pysindy", "statsmodels")}
 PACKAGES = ("numpy", "scipy", "lmfit", "imucal", "scikit-learn", "pysindy", "statsmodels")
-SAMPLES, SAMPLES_FAST = 10**7, 500_000
+SAMPLES, SAMPLES_FAST = 10**7, 200_000
 RESULTS, RESULTS_FAST = 10**5, 2000
 
 Benchmark = Callable[[int, bool, int], list[Row]]

@@ -37,7 +37,7 @@ CORES = 2
 
 def fitting(rng: np.random.Generator, *, fast: bool) -> list[Row]:
     """Growth exponent of `ml` from the smallest to the largest number of positions."""
-    sizes, runs = (POSITIONS[:2], 2) if fast else (POSITIONS, 5)
+    sizes, runs = (POSITIONS[:2], 1) if fast else (POSITIONS, 5)
     rows = []
     for name, make in (("plane", planar), ("space", spatial)):
         readings = [make(rng, n) for n in sizes]

@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[2]
 
 ALLOWED_MB, ROWS = 600, 5_000_000
 """What a file of seven columns may take: 280 MB of it are the numbers."""
-FEW, MANY = 200_000, 500_000
+FEW, MANY = 100_000, 300_000
 
 
 @pytest.mark.parametrize("positions", [False, True], ids=["continuous", "positions"])
@@ -39,7 +39,7 @@ def test_memory_of_five_million_rows_by_the_slope_of_smaller_files(tmp_path, pos
 @pytest.fixture(scope="module")
 def large(tmp_path_factory):
     path = tmp_path_factory.mktemp("large") / "large.csv"
-    large_file.write(path, 600_000, positions=True)
+    large_file.write(path, 300_000, positions=True)
     return path
 
 
@@ -49,7 +49,7 @@ def test_loading_and_fitting_tell_their_stages_with_the_share(large):
         fit(load_session(large))
     shares = [int(stage.removesuffix("%")) for stage in stages if stage.endswith("%")]
     assert shares == sorted(shares)
-    assert len(set(shares)) > 20
+    assert len(set(shares)) > 10  # one per MB of text
     assert shares[-1] == 100
     assert stages.index("noise of the readings") > stages.index("100%")
     assert stages[-1] == "the best method"

@@ -34,13 +34,13 @@ def each_name_in_two() -> list[int]:
 
 
 SESSIONS = {
-    "none": range(6),
+    "none": range(3),
     "one": range(0, len(NAMES), 3),
     "two": each_name_in_two(),
     "uncatalogued": [list(GRAMMAR).index(name) for name in ENTRIES],
-    "beyond": range(0, len(BEYOND), 3),
-    SPACE + "none": range(3),
-    SPACE + "one": range(len(SPACE_NAMES)),
+    "beyond": range(0, len(BEYOND), 5),
+    SPACE + "none": range(2),
+    SPACE + "one": range(0, len(SPACE_NAMES), 2),
     SPACE + "two": range(3),
 }
 """Every third name alone and every name in two; of unnamed ones each way to enter or a third."""
