@@ -143,7 +143,7 @@ def _told(result: FitResult | None, true: dict[str, float]) -> Row:
     if result is None:
         return {"parameters": {}}
     told: Row = {
-        "parameters": {one.name: [one.value - true[one.name], one.u, one.U] for one in result.parameters}
+        "parameters": {k: [one.value - true[k], one.u, one.U] for k, one in result.parameters.items()}
     }
     if result.links is not None:
         links = result.links

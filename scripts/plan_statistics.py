@@ -179,7 +179,7 @@ class Line:
 def fitted_variance(result: FitResult) -> Floats:
     """Variance (m,) in degrees² of the shown angle around the turn, without a reading's own noise."""
     shown = ShownAngle.around(result.origin.fit)
-    return (result.origin.sources.roots(shown.gradient, shown.reading) ** 2).sum(axis=1)
+    return (result.sources.roots(shown.gradient, shown.reading) ** 2).sum(axis=1)
 
 
 def predicted_for(case: Case) -> tuple[dict[str, float], int]:
@@ -188,8 +188,8 @@ def predicted_for(case: Case) -> tuple[dict[str, float], int]:
     worst = int(fitted_variance(fit_readings(expected_readings(case.plan, case.bench))).argmax())
     for start in np.linspace(-0.9, 0.9, 10) * START_DEG:
         result = fit_readings(expected_readings(case.plan, replace(case.bench, start_deg=float(start))))
-        for one in result.parameters:
-            variances.setdefault(one.name, []).append(float(one.u or math.nan) ** 2)
+        for name, one in result.parameters.items():
+            variances.setdefault(name, []).append(float(one.u or math.nan) ** 2)
         variances.setdefault("angle", []).append(float(fitted_variance(result)[worst]))
     return {name: math.sqrt(float(np.mean(found))) for name, found in variances.items()}, worst
 

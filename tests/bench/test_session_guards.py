@@ -54,9 +54,8 @@ def truth_of(sensor):
 def right(sensor, path):
     """The result is the truth within its uncertainty (5 u: one seed, no statistics)."""
     result, truth = fit(read_session(path)), truth_of(sensor)
-    for estimate in result.parameters:
-        if estimate.name in ("delta_k", "delta_phi"):
-            assert abs(estimate.value - truth[estimate.name]) < 5 * estimate.u
+    for name in result.parameters.keys() & {"delta_k", "delta_phi"}:
+        assert abs(result[name].value - truth[name]) < 5 * result[name].u
     return True
 
 

@@ -313,9 +313,9 @@ def test_a_result_of_readings_has_no_session_to_be_calibrated_from():
 def test_a_session_that_lacks_a_gain_gives_no_calibration():
     session = planar_session(np.random.default_rng(1), angles_deg=(0, 90))
     result = adis_gonio.fit(session, method="two-position")
-    without = tuple(one for one in result.parameters if one.name not in ("delta_phi", "delta_k"))
+    kept = {name: one for name, one in result.parameters.items() if name not in ("delta_phi", "delta_k")}
     with pytest.raises(FitError, match="does not determine delta_phi"):
-        replace(result, parameters=without, covariance=None).calibration()
+        replace(result, parameters=kept, covariance=None, sources=None).calibration()
 
 
 def test_reprs_are_for_people():

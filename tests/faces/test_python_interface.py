@@ -67,7 +67,7 @@ def test_notebooks_get_a_table_that_is_well_formed_and_escaped(result):
 def test_data_frames_hold_the_same_numbers(session, result):
     pytest.importorskip("pandas")
     for frame in (result.to_pandas(), result.calibration().to_pandas()):
-        for name in (one.name for one in result.parameters if one.name in frame.index):
+        for name in (name for name in result.parameters if name in frame.index):
             assert frame.loc[name, "value"] == result[name].value
             assert frame.loc[name, "u"] == result[name].u
         assert {"scale_x", "scale_y", "bias_x", "bias_y"} <= set(frame.index)

@@ -80,7 +80,7 @@ def bent():
 )
 def test_fit_trace_and_report_agree_on_every_shared_name(make):
     session = make()
-    by_fit = {e.name: e for e in fit(session, "ml").parameters}
+    by_fit = fit(session, "ml").parameters
     result = trace(session)
     traced = dict(result.base)
     for finding in result.found:

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.estimation.readings import Readings, Unit, from_means
 from adis_gonio.fitting.fit_result import (
-    Estimate,
     FitResult,
-    estimates,
     outputs_of,
     stage_warnings,
+    values_of,
     variances,
 )
 from adis_gonio.fitting.uncertainty import Source, Sources, budget_of, dof_of
@@ -139,11 +139,11 @@ def test_variances_and_estimates_follow_the_gradients() -> None:
     whole = np.stack([o.gradient for o in found])
     np.testing.assert_allclose(variances(found, root @ root.T), whole @ root @ root.T @ whole.T)
     moves = RNG.standard_normal((6, 4))
-    told = estimates(found, Sources((source(moves=moves),)))
-    for one, output in zip(told, found, strict=True):
+    told = values_of(found, Sources((source(moves=moves),)))
+    for (name, one), output in zip(told.items(), found, strict=True):
         assert one.u == pytest.approx(float(np.linalg.norm(output.gradient @ moves)))
-        assert (one.name, one.value, one.unit) == (output.name, output.value, output.unit)
-    assert all(one.u is None and math.isinf(one.dof) for one in estimates(found, None))
+        assert (name, one.value, one.unit) == (output.name, output.value, output.unit)
+    assert all(one.u is None and math.isinf(one.dof) for one in values_of(found, None).values())
 
 
 @pytest.mark.parametrize(
@@ -159,24 +159,23 @@ def test_variances_and_estimates_follow_the_gradients() -> None:
 def test_an_angle_between_axes_that_the_stage_alone_knows_is_remarked_on(
     u_rad: float, sigma_rad: float, told: bool
 ) -> None:
-    names = {"alpha": 9.0, "delta_phi": math.degrees(u_rad)}
-    found = [Estimate(0.0, u_deg, "deg", name=name) for name, u_deg in names.items()]
+    phi = {"delta_phi": Value(0.0, math.degrees(u_rad), "deg")}
+    found = {"alpha": Value(0.0, 9.0, "deg"), **phi}
     lines = stage_warnings(found, sigma_rad)
     assert len(lines) == told
     if told:
         assert lines[0].startswith(f"u of Δφ is {math.degrees(u_rad):.2g}°: only the stage")
         assert "(11.5°)" in lines[0]
-    assert stage_warnings(found[:1], sigma_rad) == []
+    assert stage_warnings({"alpha": found["alpha"]}, sigma_rad) == []
 
 
 def test_a_result_without_a_session_tells_what_it_has() -> None:
-    found = (
-        Estimate(1.5, 0.1, "1", name="scale_x"),
-        Estimate(3.0, None, "mg", name="bias_x"),
-        Estimate(1.0, 0.2, "1", name="b"),
-    )
+    found = {
+        "scale_x": Value(1.5, 0.1, "1"), "bias_x": Value(3.0, None, "mg"), "b": Value(1.0, 0.2, "1")
+    }  # fmt: skip
     plain = FitResult(
-        "ml", found, np.diag([1.0, 2.0, 3.0]), 5.0, 2, np.array([[3.0, 4.0], [0.0, 0.0]]), (1, 2),
+        method="ml", parameters=found, covariance=np.diag([1.0, 2.0, 3.0]), chi2=5.0, dof=2,
+        residual_mg=np.array([[3.0, 4.0], [0.0, 0.0]]), positions=(1, 2),
         angle_error_rad=np.radians([3.0, -4.0]), fixture_sigma_deg=math.inf, extra_mg=0.25,
     )  # fmt: skip
     assert plain.residual_rms_mg == pytest.approx(2.5)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.answer import (
     DwellPrediction,
     Recommendation,
@@ -16,14 +17,17 @@ from adis_gonio.fitting.answer import (
     recommend,
     scores_of,
 )
-from adis_gonio.fitting.fit_result import Estimate, FitResult
+from adis_gonio.fitting.fit_result import FitResult
 
 
 def result(method: str, u: float | None = 1.0, *, bias: bool = True, other: float = 1.0) -> FitResult:
     names = ["delta_k", "delta_phi"] + ["bias_x"] * bias
     us = [u, 1.0, other][: len(names)]
-    found = tuple(Estimate(0.0, one, "1", name=name) for name, one in zip(names, us, strict=True))
-    return FitResult(method, found, None, 0.0, 0, np.zeros((1, 2)), (0,))
+    found = {name: Value(0.0, one, "1") for name, one in zip(names, us, strict=True)}
+    return FitResult(
+        method=method, parameters=found, covariance=None, chi2=0.0, dof=0, residual_mg=np.zeros((1, 2)),
+        positions=(0,),
+    )  # fmt: skip
 
 
 def angles(errors: Floats) -> DwellPrediction:

@@ -50,7 +50,7 @@ def planar(
 
 
 def values(result):
-    return {estimate.name: estimate.value for estimate in result.parameters}
+    return {name: one.value for name, one in result.parameters.items()}
 
 
 @pytest.mark.parametrize("alpha", [-170, -45, 0, 20, 45, 90, 133])
@@ -147,13 +147,13 @@ def test_covariance_is_the_scatter_of_the_estimates(method):
         noise = rng.normal(0, 0.3, (len(angles), 2))
         session = planar(angles, true_angles=true, noise=noise, **truth)
         result = fit_of(readings_of(session), method)
-        estimates.append([e.value for e in result.parameters])
+        estimates.append([e.value for e in result.parameters.values()])
     scatter = np.cov(np.array(estimates).T)
     stated = exact.covariance
     np.testing.assert_allclose(np.sqrt(np.diag(scatter)), np.sqrt(np.diag(stated)), rtol=0.15)
     u = np.sqrt(np.diag(stated))
     np.testing.assert_allclose(scatter / np.outer(u, u), stated / np.outer(u, u), atol=0.25)
-    assert [e.u for e in exact.parameters] == pytest.approx(u.tolist())
+    assert [e.u for e in exact.parameters.values()] == pytest.approx(u.tolist())
 
 
 def test_ml_weighs_angles_by_what_they_are_worth():

@@ -55,10 +55,10 @@ def complete(tmp_path_factory):
 
 def misses(found, expanded):
     return [
-        (one.name, abs(one.value - truth[one.name]) / expanded(one))
+        (name, abs(one.value - truth[name]) / expanded(one))
         for result, truth in found
-        for one in result.parameters
-        if abs(one.value - truth[one.name]) > expanded(one)
+        for name, one in result.parameters.items()
+        if abs(one.value - truth[name]) > expanded(one)
     ]
 
 
@@ -150,8 +150,8 @@ def test_one_dwell_of_few_samples_does_not_take_the_degrees_of_freedom_of_all(la
     again = fit_ml(replace(readings, dof=dof))
     assert again.extra_mg > 0
     assert again.dof > 20
-    for one in again.parameters:
-        assert one.k == pytest.approx(result[one.name].k, rel=0.1)
+    for name, one in again.parameters.items():
+        assert one.k == pytest.approx(result[name].k, rel=0.1)
         assert one.k < 2.5
 
 

@@ -13,11 +13,12 @@ import pytest
 from adis_gonio import fit
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.numbers import NAMES
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting import monte_carlo as module
-from adis_gonio.fitting.fit_result import Estimate, FitResult
+from adis_gonio.fitting.fit_result import FitResult
 from adis_gonio.fitting.monte_carlo import monte_carlo
-from adis_gonio.fitting.uncertainty import TEMPERATURE
+from adis_gonio.fitting.uncertainty import TEMPERATURE, Sources
 from fitting.test_uncertainty import FOUR, turn
 
 SIGMA_DEG = 0.02
@@ -36,8 +37,8 @@ def stated() -> FitResult:
     return fit(turn(FOUR), "four-position")
 
 
-def moved(made: object, draws: int = DRAWS) -> np.ndarray:
-    draw = module._drawing(made, np.random.default_rng(1))
+def moved(made: object, draws: int = DRAWS, sources: Sources | None = None) -> np.ndarray:
+    draw = module._drawing(made, sources or Sources(()), np.random.default_rng(1))
     return np.array([draw().mean for _ in range(draws)]) - made.readings.mean
 
 
@@ -99,7 +100,8 @@ def test_a_fixture_that_is_estimated_is_drawn_with_the_students_factor_too(state
 
 def test_an_unseen_bias_is_drawn_once_for_all_dwells() -> None:
     session = replace(turn((0, 90)), sensor="adis16354")
-    found = moved(fit(session, "two-position").origin)
+    result = fit(session, "two-position")
+    found = moved(result.origin, sources=result.sources)
     u = VARIANTS["adis16354"].performance.initial_bias_mg
     np.testing.assert_allclose(found.std(axis=0), u, rtol=5 / math.sqrt(2 * DRAWS))
     assert (found[:, 0] - found[:, 1]).std() < 0.1 * u
@@ -109,8 +111,8 @@ def test_an_unseen_bias_is_drawn_once_for_all_dwells() -> None:
 def test_coefficients_of_temperature_are_drawn_once_for_all_dwells(stated: FitResult) -> None:
     made = stated.origin
     columns = np.array([-3.0, -1.0, 1.0, 3.0])[:, None, None] * np.eye(2)
-    each = [replace(one, acts_mg=columns) if one.name == TEMPERATURE else one for one in made.sources.each]
-    found = moved(replace(made, sources=replace(made.sources, each=tuple(each))))
+    own = next(one for one in stated.sources.each if one.name == TEMPERATURE)
+    found = moved(made, sources=Sources((replace(own, acts_mg=columns),)))
     np.testing.assert_allclose(found.std(axis=0)[[0, 3]], 3.0, rtol=0.15)
     np.testing.assert_allclose(found[:, 0], -found[:, 3], atol=3.0)
     assert (found[:, 0] + found[:, 3]).std() < 0.8
@@ -139,14 +141,15 @@ def test_what_rests_on_one_estimate_is_drawn_with_one_factor() -> None:
 @pytest.mark.parametrize("kind", ["normal", "uniform", "arcsine", "exponential"])
 def test_the_doubt_is_the_scatter_of_the_standard_deviation(few: FitResult, kind: str) -> None:
     rng = np.random.default_rng(2)
-    linear = Estimate(0.0, 1.0, "1", name="delta_k")
+    linear = Value(0.0, 1.0, "1")
     draw = {
         "normal": rng.standard_normal,
         "uniform": rng.uniform,
         "arcsine": partial(rng.beta, 0.5, 0.5),
         "exponential": rng.standard_exponential,
     }
-    found = [module._propagated(few.origin, linear, draw[kind](size=800), 0) for _ in range(300)]
+    cause = few.sources, few.outputs[0].gradient
+    found = [module._propagated(linear, draw[kind](size=800), *cause) for _ in range(300)]
     u = np.array([one.u for one in found])
     # 300 sessions know a scatter to 4 %; of heavy tails the kurtosis itself is uncertain and low.
     wide = 0.2 if kind == "exponential" else 0.1
@@ -155,7 +158,7 @@ def test_the_doubt_is_the_scatter_of_the_standard_deviation(few: FitResult, kind
 
 def test_the_interval_leaves_as_much_below_as_above(few: FitResult) -> None:
     values = 3.0 + np.random.default_rng(3).standard_exponential(100_000)
-    found = module._propagated(few.origin, Estimate(4.0, 1.0, "1", name="delta_k"), values, 0)
+    found = module._propagated(Value(4.0, 1.0, "1"), values, few.sources, few.outputs[0].gradient)
     assert found.low == pytest.approx(3.0 - math.log(0.975), abs=0.003)
     assert found.high == pytest.approx(3.0 - math.log(0.025), abs=0.06)
     assert found.u == pytest.approx(1.0, abs=0.02)
@@ -163,76 +166,74 @@ def test_the_interval_leaves_as_much_below_as_above(few: FitResult) -> None:
 
 def test_angles_on_both_sides_of_half_a_turn_are_neighbours(few: FitResult) -> None:
     values = np.array([179.9, -179.9, 180.0, 179.8, -179.8])
-    found = module._propagated(few.origin, Estimate(-179.9, 0.1, "deg", name="alpha"), values, 0)
+    found = module._propagated(Value(-179.9, 0.1, "deg"), values, few.sources, few.outputs[0].gradient)
     assert found.u == pytest.approx(np.std([-0.1, 0.1, 0.0, -0.2, 0.2], ddof=1))
     assert -180.3 < found.low < -180.0 < found.high < -179.7
 
 
 @pytest.mark.parametrize("name", ["bias_x", "alpha", "scale_y"])
 def test_students_standard_deviation_is_wider_by_its_degrees_of_freedom(few: FitResult, name: str) -> None:
-    k = [e.name for e in few.parameters].index(name)
-    linear = few.parameters[k]
+    linear = few[name]
     assert linear.dof == pytest.approx(8)
-    wide = module._students_u(few.origin, few.origin.outputs[k].gradient)
+    wide = module._students_u(few.sources, few.outputs[few.names.index(name)].gradient)
     assert wide == pytest.approx((linear.u or 0) * math.sqrt(8 / 6))
 
 
 def test_why_two_ways_differ_is_told_by_what_explains_it(few: FitResult) -> None:
-    k = [e.name for e in few.parameters].index("bias_x")
-    linear = few.parameters[k]
+    linear = few["bias_x"]
     wide = linear.u * math.sqrt(8 / 6)
-    assert module._why(few.origin, linear, linear.u, 0.01, k) == ""
-    by_student = module._why(few.origin, linear, wide, 0.01, k)
+    assert module._why(linear, linear.u, 0.01, wide) == ""
+    by_student = module._why(linear, wide, 0.01, wide)
     assert by_student.startswith("u is 1.15 times the linear one: with 8 degrees of freedom Student's")
     # A hundredth and two standard errors of the trials are no difference.
-    assert module._why(few.origin, linear, 1.018 * linear.u, 0.005, k) == ""
-    assert module._why(few.origin, linear, 1.022 * linear.u, 0.005, k)
-    bent = module._why(few.origin, linear, 1.5 * wide, 0.01, k)
+    assert module._why(linear, 1.018 * linear.u, 0.005, wide) == ""
+    assert module._why(linear, 1.022 * linear.u, 0.005, wide)
+    bent = module._why(linear, 1.5 * wide, 0.01, wide)
     assert bent.startswith("u is 1.73 times the linear one: the model is not linear enough")
     nothing = replace(linear, u=None)
-    assert module._why(few.origin, nothing, 1.0, 0.01, k).startswith("the linear u is zero")
+    assert module._why(nothing, 1.0, 0.01, wide).startswith("the linear u is zero")
 
 
 def test_values_of_students_distribution_are_hardly_ever_taken_for_a_model_that_bends(
     few: FitResult,
 ) -> None:
-    k = [e.name for e in few.parameters].index("bias_x")
-    linear = few.parameters[k]
+    linear = few["bias_x"]
+    cause = few.sources, few.outputs[few.names.index("bias_x")].gradient
     rng = np.random.default_rng(4)
     factor = np.sqrt(8 / rng.chisquare(8, (300, 400)))
     drawn = linear.value + linear.u * factor * rng.standard_normal((300, 400))
-    told = [module._propagated(few.origin, linear, own, k).why for own in drawn]
+    told = [module._propagated(linear, own, *cause).why for own in drawn]
     # Three standard errors of heavy tails: 1 % of all at most.
     assert sum("not linear" in why for why in told) <= 3
     assert sum("Student" in why for why in told) > 100
 
 
-def test_an_estimate_without_a_part_in_a_parameter_does_not_widen_it(few: FitResult) -> None:
+def test_an_estimate_without_a_part_in_a_parameter_does_not_widen_it() -> None:
     parts = [(0, math.inf, 1.0), (4, 1.0, 0.0), (4, 1.0, 1e-12), (1, 6.0, 2.0)]
     sources = SimpleNamespace(parts=lambda gradient: parts)
-    wide = module._students_u(replace(few.origin, sources=sources), np.ones(6))
+    wide = module._students_u(sources, np.ones(6))
     assert wide == pytest.approx(math.sqrt(1.0 + 2.0 * 6 / 4))
 
 
 def test_with_two_degrees_of_freedom_no_standard_deviation_exists() -> None:
     result = fit(turn((0, 90), samples=2, noise=1.0, sigma=0.0, bias=(0.0, 0.0)), "two-position")
-    k = [e.name for e in result.parameters].index("scale_x")
-    linear = result.parameters[k]
+    linear = result["scale_x"]
     assert linear.dof == pytest.approx(2, abs=0.01)
-    assert math.isinf(module._students_u(result.origin, result.origin.outputs[k].gradient))
-    assert "no standard deviation exists" in module._why(result.origin, linear, 5 * linear.u, 0.05, k)
+    wide = module._students_u(result.sources, result.outputs[result.names.index("scale_x")].gradient)
+    assert math.isinf(wide)
+    assert "no standard deviation exists" in module._why(linear, 5 * linear.u, 0.05, wide)
 
 
 def test_a_run_gives_each_parameter_both_ways_as_table_and_document(stated: FitResult) -> None:
     run = monte_carlo(stated, 100, np.random.default_rng(5))
     assert (run.method, run.trials, run.failed) == ("four-position", 100, 0)
     head, rows = run.rows()
-    assert [row[0] for row in rows] == [NAMES.get(e.name, e.name) for e in stated.parameters]
-    for p, row in zip(run.parameters, rows, strict=True):
+    assert [row[0] for row in rows] == [NAMES.get(name, name) for name in stated.parameters]
+    for (name, p), row in zip(run.parameters.items(), rows, strict=True):
         # 100 trials know u to 7 %.
         assert p.u == pytest.approx(p.linear.u, rel=0.3)
         assert p.low < p.linear.value < p.high
-        entry = run.as_dict()["parameters"][p.name]
+        entry = run.as_dict()["parameters"][name]
         assert entry["u_standard_error"] == pytest.approx(p.u / math.sqrt(200), rel=0.4)
         assert entry["linear_U"] == pytest.approx(entry["linear_u"] * p.linear.k)
         assert entry["agrees"] == (p.why == "")
@@ -240,16 +241,14 @@ def test_a_run_gives_each_parameter_both_ways_as_table_and_document(stated: FitR
         low, high = (float(by_head[name].replace("−", "-")) for name in ("from", "to"))
         assert (high - low) / 2 == pytest.approx((p.high - p.low) / 2, rel=0.05)
         assert float(by_head["U, linear"]) == pytest.approx(p.linear.U, rel=0.05)
-    assert [run[p.name] for p in run.parameters] == list(run.parameters)
 
 
 def test_what_is_remarked_on_are_differences_and_lost_trials(stated: FitResult) -> None:
     run = monte_carlo(stated, 20, np.random.default_rng(5))
-    agreeing = replace(run, parameters=tuple(replace(p, why="") for p in run.parameters))
+    agreeing = replace(run, parameters={name: replace(p, why="") for name, p in run.parameters.items()})
     assert agreeing.remarks == ["the linear uncertainties agree within 1 % and the error of the trials"]
-    differing = replace(
-        run, failed=3, parameters=tuple(replace(p, why="it bends") for p in run.parameters[:1])
-    )
+    bent = {"delta_k": replace(run.parameters["delta_k"], why="it bends")}
+    differing = replace(run, failed=3, parameters=bent)
     assert differing.remarks == ["ΔK: it bends", "3 trials gave no result and were left out"]
 
 

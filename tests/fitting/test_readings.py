@@ -370,7 +370,7 @@ def test_a_few_averaged_poses_in_space_are_refused_in_one_line_or_have_no_u(coun
     except FitError as refused:
         assert "\n" not in str(refused)  # noqa: PT017 (it may be answered too)
     else:
-        assert all(one.u is None for one in result.parameters)
+        assert all(one.u is None for one in result.parameters.values())
         assert result.undetermined
 
 

@@ -20,7 +20,7 @@ from fitting.test_uncertainty import FOUR, NINE, turn
 
 
 def source(result: FitResult, name: str) -> Source:
-    return next(one for one in result.origin.sources.each if one.name == name)
+    return next(one for one in result.sources.each if one.name == name)
 
 
 def with_temperatures(session: Session, degrees: list[float]) -> Session:
@@ -41,7 +41,7 @@ def test_an_estimated_noise_is_what_a_reading_repeats_to() -> None:
     np.testing.assert_allclose(own.dof, result.dof)
     # Information of readings with that noise says the same of every parameter.
     stated = covariance(made.determination.fisher, made.determination.free, made.determination.null)
-    np.testing.assert_allclose(made.sources.covariance, stated, rtol=1e-6, atol=1e-18)
+    np.testing.assert_allclose(result.sources.covariance, stated, rtol=1e-6, atol=1e-18)
 
 
 def test_an_estimated_stage_is_of_type_a_and_a_stated_one_of_type_b() -> None:
@@ -122,4 +122,4 @@ def test_turns_between_poses_are_a_source_and_all_together_are_the_inverse_infor
     variance = np.mean([np.trace(one) / 3 for one in spread])
     assert own.u == pytest.approx(math.degrees(math.sqrt(variance)))
     stated = covariance(made.determination.fisher, made.determination.free, made.determination.null)
-    np.testing.assert_allclose(np.diagonal(made.sources.covariance), np.diagonal(stated), rtol=1e-4)
+    np.testing.assert_allclose(np.diagonal(result.sources.covariance), np.diagonal(stated), rtol=1e-4)

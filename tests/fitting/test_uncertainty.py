@@ -105,7 +105,7 @@ def test_the_budget_adds_up_to_u_and_its_shares_to_one(method, samples):
         assert gravity.u > 0
         assert gravity.contribution == pytest.approx(0, abs=1e-12)
     matrix = np.sqrt(np.diag(result.covariance))
-    np.testing.assert_allclose(matrix, [e.u for e in result.parameters], rtol=1e-9)
+    np.testing.assert_allclose(matrix, [e.u for e in result.parameters.values()], rtol=1e-9)
 
 
 def test_what_was_stated_is_of_type_b_and_normal_and_what_was_measured_of_type_a_and_students():
@@ -135,7 +135,7 @@ def test_student_is_in_k_and_not_in_u():
 def test_averages_without_an_uncertainty_and_without_freedom_have_none(angles):
     exact = turn(angles, noise=0.0, sigma=0.0, stated=None, bias=(0.0, 0.0))
     result = fit(exact)
-    assert all(e.u is None and e.U is None for e in result.parameters)
+    assert all(e.u is None and e.U is None for e in result.parameters.values())
     document = json.loads(json.dumps(result.as_dict(), allow_nan=False))
     for entry in (*document["parameters"].values(), document["angle"]):
         assert entry["u"] is entry["U"] is entry["k"] is entry["dof"] is None
@@ -196,27 +196,30 @@ def test_u_expanded_holds_the_truth_in_95_of_100_sessions(kind):
 def test_monte_carlo_agrees_with_the_linear_uncertainty(method):
     angles = {"two-position": (0, 90), "four-position": FOUR, "mmpm": NINE}[method]
     run = monte_carlo(fit(turn(angles), method), 4000, np.random.default_rng(3))
-    for p in run.parameters:
-        assert p.u == pytest.approx(p.linear.u, rel=0.01 + 3 * p.doubt), p.name
-        assert (p.high - p.low) / 2 == pytest.approx(p.linear.U, rel=0.07), p.name
+    for name, p in run.parameters.items():
+        assert p.u == pytest.approx(p.linear.u, rel=0.01 + 3 * p.doubt), name
+        assert (p.high - p.low) / 2 == pytest.approx(p.linear.U, rel=0.07), name
         # The standard deviation of n normal values is known to 1/√(2 n) of itself.
         stated = p.as_dict()["u_standard_error"]
-        assert stated == pytest.approx(p.u / math.sqrt(2 * 4000), rel=0.15), p.name
+        assert stated == pytest.approx(p.u / math.sqrt(2 * 4000), rel=0.15), name
     assert run.failed == 0
 
 
 def test_monte_carlo_says_few_degrees_of_freedom_from_a_model_that_bends():
     few = fit(turn(FOUR, samples=3, noise=1.0, sigma=0.0), "four-position")
     run = monte_carlo(few, 3000, np.random.default_rng(4))
-    assert run["bias_x"].u > 1.02 * run["bias_x"].linear.u
-    assert "degrees of freedom" in run["bias_x"].why
+    assert run.parameters["bias_x"].u > 1.02 * run.parameters["bias_x"].linear.u
+    assert "degrees of freedom" in run.parameters["bias_x"].why
     bent = fit(turn((0, 90), stated=300.0, noise=0.0, sigma=0.0, bias=(0.0, 0.0)), "two-position")
     run = monte_carlo(bent, 3000, np.random.default_rng(4))
-    assert any("not linear enough" in p.why for p in run.parameters)
+    assert any("not linear enough" in p.why for p in run.parameters.values())
 
 
 def test_a_start_angle_beside_180_degrees_scatters_in_a_simulation_as_any_other():
     # Draws lie at 179.99° and at −179.99°: their plain mean is no angle.
-    u = [monte_carlo(fit(turn(NINE, start=start), "ml"), 200, np.random.default_rng(3))["alpha"].u
-         for start in (20.0, 180.0)]  # fmt: skip
+    runs = [
+        monte_carlo(fit(turn(NINE, start=start), "ml"), 200, np.random.default_rng(3))
+        for start in (20.0, 180.0)
+    ]
+    u = [run.parameters["alpha"].u for run in runs]
     assert u[1] == pytest.approx(u[0], rel=0.2)  # 200 draws know it to 5 %

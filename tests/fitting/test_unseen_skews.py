@@ -52,7 +52,7 @@ def test_six_poses_cover_the_truth_although_they_show_no_skew():
         truth = hidden(rng)
         result = fit(poses(rng, anywhere(rng, 6), truth, "adis16354"), "ml")
         assert {"skew_xy", "skew_xz", "skew_yz"} <= set(result.undetermined)
-        inside += [abs(one.value - truth[one.name]) <= one.U for one in result.parameters if one.u]
+        inside += [abs(one.value - truth[k]) <= one.U for k, one in result.parameters.items() if one.u]
     assert len(inside) > 200
     assert np.mean(inside) > 0.93  # 0.4 without what skews may be
 
@@ -65,14 +65,14 @@ def test_faces_of_a_cube_are_not_made_less_sure_by_skews_that_they_do_not_feel()
     known = fit(poses(rng, faces, truth, "adis16354"), "ml")
     rng.bit_generator.state = samples
     unknown = fit(poses(rng, faces, truth, "generic"), "ml")
-    skews = [source for source in known.origin.sources.each if "skew" in source.note]
+    skews = [source for source in known.sources.each if "skew" in source.note]
     assert len(skews) == 1
     assert np.abs(skews[0].moves).max() < 1e-4
-    assert "not included" in next(s.note for s in unknown.origin.sources.each if "skew" in s.note)
+    assert "not included" in next(s.note for s in unknown.sources.each if "skew" in s.note)
 
 
 def test_the_trials_of_a_monte_carlo_draw_the_skews_too():
     rng = np.random.default_rng([12, 1])
     result = fit(poses(rng, anywhere(rng, 6), hidden(rng), "adis16354"), "ml")
-    for one in monte_carlo(result, 400, np.random.default_rng(1)).parameters:
+    for one in monte_carlo(result, 400, np.random.default_rng(1)).parameters.values():
         assert one.u == pytest.approx(one.linear.u, rel=0.25)

@@ -66,7 +66,7 @@ def test_the_zero_of_counts_is_stated_as_the_bias_that_a_fit_finds():
     """Readings are 2.5 counts per mg from 300 counts, the bias 12 and −7 mg."""
     session = planar_session(np.random.default_rng(3), unit="counts")
     result = adis_gonio.trace(session)
-    fitted = {one.name: one for one in adis_gonio.fit(session, method="ml").parameters}
+    fitted = adis_gonio.fit(session, method="ml").parameters
     assert "bias" not in {finding.effect for finding in result.found}
     for name, truth in (("bias_x", 330.0), ("bias_y", 282.5)):
         value = result.base[name]

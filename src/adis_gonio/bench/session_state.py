@@ -306,5 +306,5 @@ class Knowledge:
             return None
         self._fitted = count
         # The whole document would compare the methods, with one fit for each of them.
-        parameters = {estimate.name: estimate.as_dict() for estimate in result.parameters}
+        parameters = {name: value.as_dict() for name, value in result.parameters.items()}
         return Running(parameters, result.method, count)

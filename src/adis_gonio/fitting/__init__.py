@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 from adis_gonio.base import lazily
 
 _HOMES = {
-    "fit_result": "Estimate FitResult",
+    "fit_result": "FitResult",
     "methods": "METHODS applicable_methods fit fit_readings",
 }
 
 if TYPE_CHECKING:
-    from adis_gonio.fitting.fit_result import Estimate as Estimate, FitResult as FitResult
+    from adis_gonio.fitting.fit_result import FitResult as FitResult
     from adis_gonio.fitting.methods import (
         METHODS as METHODS,
         applicable_methods as applicable_methods,

@@ -41,7 +41,7 @@ from adis_gonio.base.tables import align_columns, fold_text
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.fitting.fit_result import FitResult, differences_of_angle, start_angle
+from adis_gonio.fitting.fit_result import MAIN, FitResult, differences_of_angle, start_angle
 from adis_gonio.fitting.methods import METHOD_TABLE, applicable_to, default_method, fit_of
 from adis_gonio.fitting.uncertainty import FIXTURE, FLICKER, REPEATABILITY, BudgetRow
 
@@ -208,8 +208,8 @@ def _mean_u(result: FitResult) -> float:
     It ranks the methods. The main parameters are ΔK and Δφ, in space all parameters. The mean is inf if one
     uncertainty is unknown.
     """
-    wanted = ("delta_k", "delta_phi") if "delta_k" in result or "delta_phi" in result else ()
-    us = [e.u for e in result.parameters if not wanted or e.name in wanted]
+    wanted = MAIN & result.parameters.keys() or result.parameters
+    us = [result[name].u for name in wanted]
     if any(u is None or not math.isfinite(u) for u in us):
         return math.inf
     return math.exp(sum(math.log(max(u or 0.0, 1e-300)) for u in us) / max(len(us), 1))
@@ -411,7 +411,7 @@ class Answer:
     @property
     def model_parameters(self) -> dict[str, Value]:
         """Parameters of the base model (without further effects), by name."""
-        return {e.name: e for e in self.result.parameters}
+        return self.result.parameters
 
     @property
     def shows_another_method(self) -> bool:
@@ -468,7 +468,7 @@ class Answer:
     def remarks(self) -> tuple[str, ...]:
         """Sentences on the main results, such as the temperature at which they are valid; often none."""
         temperature = self.reference_temperature_c
-        if temperature is None or {"delta_k", "delta_phi"} & set(self.values):
+        if temperature is None or MAIN & self.values.keys():
             return self._excess
         return (f"Parameters are valid at {temperature:.1f} °C, the mean of the session.", *self._excess)
 
@@ -649,7 +649,7 @@ def method_tables(results: Sequence[FitResult], most: int) -> Iterator[tuple[lis
 
     Each table has one column per method, and at most `most` methods; ΔK and Δφ come first.
     """
-    units = {e.name: e.unit for result in results for e in result.parameters}
+    units = {name: one.unit for result in results for name, one in result.parameters.items()}
     names = sorted(units, key=lambda name: name not in ("delta_k", "delta_phi"))
     for start in range(0, len(results), most):
         part = results[start : start + most]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -34,11 +34,50 @@ if TYPE_CHECKING:
     from adis_gonio.fitting.answer import MethodComparison
 
 
-@dataclass(frozen=True)
-class Estimate(Value):
-    """A parameter of a result: its value with uncertainty (JCGM 100:2008), unit and `name`."""
+class FittedParameters(ParameterTable, kw_only=True):
+    """Base class of the results of fits: parameters by name with their covariance, and remarks.
 
-    name: str = field(default="", kw_only=True)
+    Attributes
+    ----------
+    parameters : mapping of str to Value
+        Parameters that the session determines; the others are named in `undetermined`.
+    covariance : (p, p) float or None
+        In the order and units of `parameters`; None if the noise is unknown.
+    chi2, dof : float, int
+        χ² of the residual, by the measured or stated noise, and its degrees of freedom.
+    positions : tuple of int
+        Numbers of the dwells used; for a turn of the gyros, of the dwell in which it ends.
+    warnings : tuple of str
+        Remarks for the user.
+    undetermined : tuple of str
+        Parameters, or combinations of parameters, that the session cannot determine.
+    provenance : Provenance or None
+        Origin of the readings; None if no session was given.
+    overrides : mapping
+        Overrides of values in the session's file, old and new (`session.overrides`).
+    """
+
+    parameters: dict[str, Value]
+    covariance: Floats | None
+    chi2: float
+    dof: int
+    positions: tuple[int, ...]
+    warnings: tuple[str, ...] = ()
+    undetermined: tuple[str, ...] = ()
+    provenance: Provenance | None = field(default=None, compare=False)
+    overrides: dict[str, Any] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> Value:
+        """Return the parameter of this name; `KeyError` if the session does not determine it."""
+        return self.parameters[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.parameters
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the parameters, in their order."""
+        return list(self.parameters)
 
 
 @dataclass(frozen=True)
@@ -53,10 +92,6 @@ class Origin:
         Noise of the readings and of the declared angles that the fit used, stated or estimated.
     fit : Fit
         Model at the parameters of the method, on the readings with that noise.
-    outputs : tuple of Output
-        Reported parameters with their gradients, in the order of the result.
-    sources : Sources or None
-        Sources of the uncertainty; None if the noise of a reading is unknown.
     determination : Determination or None
         Fitted and fixed parameters of the method `ml`; None for other methods.
     """
@@ -64,50 +99,40 @@ class Origin:
     readings: Readings
     noise: NoiseAssumptions
     fit: Fit
-    outputs: tuple[Output, ...]
-    sources: Sources | None
     determination: Determination | None = None
 
 
+MAIN = {"delta_k", "delta_phi"}
+"""Names of the main parameters of a session in the plane."""
 MISFIT = (
     "The model does not describe this session: the residual is larger than the noise."
     " Run adis-gonio trace to find the missing effect."
 )
 
 
-class FitResult(ParameterTable):
+class FitResult(FittedParameters, kw_only=True):
     """Fitted parameters of a session, with their covariance, warnings and residuals.
 
     Attributes
     ----------
     method : str
         One of `METHODS`.
-    parameters : tuple of Estimate
-        Parameters that the session determines; the others are named in `undetermined`.
-    covariance : (p, p) float or None
-        In the order and units of `parameters`; None if the noise is unknown.
-    chi2, dof : float, int
-        χ² of the residual, by the noise measured in the dwells and the stated fixture uncertainty.
     residual_mg : (n, axes) or (n, 1) float
         Reading minus model of each dwell used, in mg; in space the residual of the norm.
-    positions : tuple of int
-        Numbers of the dwells used.
     angle_error_rad : (m,) float or None
         Angle by the calibrated goniometer minus the declared angle, for each dwell with a declared angle;
         None without declared angles.
-    undetermined : tuple of str
-        Parameters, or combinations of parameters, that the session cannot determine.
     extra_mg : float
         Standard deviation per reading and axis, in addition to the measured noise, that explains the
         residual; 0 if the measured noise explains it.
     fixture_sigma_deg : float or None
         Standard uncertainty of a declared angle in the fit; inf for free attitudes; None in space.
-    provenance : Provenance or None
-        Origin of the readings; None if no session was given.
-    overrides : mapping
-        Overrides of values in the session's file, old and new (`session.overrides`).
+    outputs : tuple of Output
+        The parameters with their derivatives, in the order of `parameters`.
+    sources : Sources or None
+        Sources of the uncertainty; None if the noise of a reading is unknown.
     origin : Origin or None
-        Inputs of the fit; not part of the JSON document or of a comparison.
+        Inputs of the fit; like `outputs` and `sources` not part of the JSON document or of a comparison.
     session : Readings or None
         All readings of the session, on which methods are compared; None if the result was made from
         readings.
@@ -121,34 +146,17 @@ class FitResult(ParameterTable):
     """
 
     method: str
-    parameters: tuple[Estimate, ...]
-    covariance: Floats | None
-    chi2: float
-    dof: int
     residual_mg: Floats
-    positions: tuple[int, ...]
     angle_error_rad: Floats | None = None
-    warnings: tuple[str, ...] = ()
-    undetermined: tuple[str, ...] = ()
     extra_mg: float = 0.0
     fixture_sigma_deg: float | None = None
-    provenance: Provenance | None = field(default=None, compare=False)
-    overrides: dict[str, Any] = field(default_factory=dict)
+    outputs: tuple[Output, ...] = field(default=(), compare=False)
+    sources: Sources | None = field(default=None, compare=False)
     origin: Origin | None = field(default=None, compare=False)
     session: Readings | None = field(default=None, compare=False)
     session_notes: tuple[str, ...] = ()
     position_findings: tuple[PositionFinding, ...] = ()
     links: LinkReport | None = None
-
-    def __getitem__(self, name: str) -> Estimate:
-        """Return the estimate of this name; `KeyError` if the session does not determine it."""
-        for estimate in self.parameters:
-            if estimate.name == name:
-                return estimate
-        raise KeyError(name)
-
-    def __contains__(self, name: object) -> bool:
-        return any(estimate.name == name for estimate in self.parameters)
 
     @property
     def residual_rms_mg(self) -> float:
@@ -161,8 +169,8 @@ class FitResult(ParameterTable):
         return (MISFIT,) if self.extra_mg else ()
 
     def __repr__(self) -> str:
-        lead = [one for one in self.parameters if one.name in ("delta_k", "delta_phi")]
-        values = ", ".join(f"{one.name} {one}" for one in lead or self.parameters[:2])
+        lead = [name for name in ("delta_k", "delta_phi") if name in self] or self.names[:2]
+        values = ", ".join(f"{name} {self[name]}" for name in lead)
         return f"FitResult({self.method}, {counted(len(self.positions), 'dwell')}, {values})"
 
     def calibration(self) -> Calibration:
@@ -211,23 +219,23 @@ class FitResult(ParameterTable):
 
         Empty in space, or if the noise is unknown. A result that the session does not determine is absent.
         """
-        made = self.origin
-        if made is None or made.sources is None or not made.readings.planar:
+        if self.sources is None:
             return {}
-        found = {
-            output.name: budget_of(made.sources, output.gradient[None])
-            for output in made.outputs
-            if output.name in ("delta_k", "delta_phi")
+        slopes: dict[str, tuple[Floats, Floats | None]] = {
+            one.name: (one.gradient[None], None) for one in self.outputs if one.name in MAIN
         }
-        shown = self._around
-        if shown is None:
-            return found
-        return {**found, "angle": budget_of(made.sources, shown.gradient, shown.reading)}
+        if self._around is not None:
+            slopes["angle"] = self._around.gradient, self._around.reading
+        return {name: budget_of(self.sources, *slope) for name, slope in slopes.items()}
 
     @cached_property
     def _around(self) -> ShownAngle | None:
-        """Derivatives of the calibrated angle at angles around the turn; None if it is not determined."""
-        assert self.origin is not None
+        """Derivatives of the calibrated angle at angles around the turn.
+
+        None in space, or if the session does not determine a parameter that an angle needs.
+        """
+        if self.origin is None or not self.origin.readings.planar:
+            return None
         shown, found = ShownAngle.around(self.origin.fit), self.origin.determination
         sure = found is None or all(is_determined(slope, found.null) for slope in shown.gradient)
         return shown if sure else None
@@ -240,14 +248,11 @@ class FitResult(ParameterTable):
         session; the `value` is NaN. There is no uncertainty if the noise is unknown, or if the session does
         not determine a parameter that an angle needs.
         """
-        made = self.origin
-        if made is None or not made.readings.planar:
-            return None
         shown = self._around
-        if made.sources is None or shown is None:
-            return Value(math.nan, None, "deg")
-        u, dof = made.sources.uncertainty(shown.gradient, shown.reading)
-        variances = made.sources.by_place(shown.gradient, shown.reading)
+        if shown is None or self.sources is None:
+            return Value(math.nan, None, "deg") if self.parameters.keys() & MAIN else None
+        u, dof = self.sources.uncertainty(shown.gradient, shown.reading)
+        variances = self.sources.by_place(shown.gradient, shown.reading)
         return Value(math.nan, u, "deg", dof, factor_over(variances, dof))
 
     @cached_property
@@ -257,10 +262,9 @@ class FitResult(ParameterTable):
         The causes are independent, and the m angles are around the turn; noise of the reading is not
         included. None in space, if the session does not determine the angle, or if the noise is unknown.
         """
-        made = self.origin
-        if made is None or made.sources is None or not made.readings.planar or self._around is None:
+        if self.sources is None or self._around is None:
             return None
-        return made.sources.roots(self._around.gradient, self._around.reading)
+        return self.sources.roots(self._around.gradient, self._around.reading)
 
     @property
     def stage_influence(self) -> dict[str, Floats]:
@@ -269,11 +273,11 @@ class FitResult(ParameterTable):
         The k errors are independent. Empty without such a certificate, or if the noise is unknown.
         """
         made = self.origin
-        if made is None or made.sources is None or not (errors := made.readings.stage.shape[2]):
+        if made is None or self.sources is None or not (errors := made.readings.stage.shape[2]):
             return {}
-        fixture = next(source for source in made.sources.each if source.name == FIXTURE)
+        fixture = next(source for source in self.sources.each if source.name == FIXTURE)
         moves = fixture.moves[:, -errors:]
-        return {output.name: output.gradient @ moves for output in made.outputs}
+        return {output.name: output.gradient @ moves for output in self.outputs}
 
     def error_curves(self) -> tuple[ErrorCurve | None, ErrorCurve]:
         """Return the error of the angle over the turn, first without and then with this calibration.
@@ -319,8 +323,7 @@ class FitResult(ParameterTable):
 
     def as_dict(self) -> dict[str, Any]:
         """Return the JSON document that `adis-gonio fit --json` prints."""
-        names = [e.name for e in self.parameters] if self.covariance is not None else []
-        matrix = [] if self.covariance is None else self.covariance.tolist()
+        known = self.covariance is not None
         errors = None
         if self.angle_error_rad is not None and self.angle_error_rad.size:
             degrees = np.degrees(self.angle_error_rad)
@@ -330,9 +333,9 @@ class FitResult(ParameterTable):
         return json_object(
             method=self.method,
             recommended=None if comparison is None else comparison.recommended,
-            parameters={estimate.name: estimate for estimate in self.parameters},
+            parameters=self.parameters,
             angle=self.angle,
-            covariance={"names": names, "matrix": matrix},
+            covariance={"names": self.names * known, "matrix": self.covariance if known else []},
             budget=self.budget,
             scores={} if comparison is None else comparison.scores,
             chi2=self.chi2,
@@ -397,13 +400,13 @@ def outputs_of(data: Readings, parameters: Floats) -> tuple[Output, ...]:
     return tuple(sorted(outputs, key=lambda output: _RANK.get(output.name, len(_RANK))))
 
 
-def stage_warnings(found: Sequence[Estimate], sigma_rad: float) -> list[str]:
+def stage_warnings(found: Mapping[str, Value], sigma_rad: float) -> list[str]:
     """Return a warning if only the stage's angles determine the angle between the axes, and poorly.
 
     Otherwise the list is empty. `found` are the parameters of the result; `sigma_rad` is the standard
     uncertainty of a declared angle.
     """
-    u_deg = next((one.u for one in found if one.name == "delta_phi"), None)
+    u_deg = found["delta_phi"].u if "delta_phi" in found else None
     if u_deg is None or math.radians(u_deg) <= LIMIT or not math.radians(u_deg) <= 2 * sigma_rad < math.inf:
         return []
     return [
@@ -426,13 +429,13 @@ def variances(outputs: Sequence[Output], natural: Floats) -> Floats:
     return np.asarray(gradients @ natural @ gradients.T)
 
 
-def estimates(outputs: Sequence[Output], sources: Sources | None) -> tuple[Estimate, ...]:
-    """Return the reported quantities as estimates, with u from `sources` (None: without u)."""
-    found = []
+def values_of(outputs: Sequence[Output], sources: Sources | None) -> dict[str, Value]:
+    """Return the reported quantities by name, with u from `sources` (None: without u)."""
+    found = {}
     for output in outputs:
         u, dof = (None, math.inf) if sources is None else sources.uncertainty(output.gradient[None])
-        found.append(Estimate(output.value, u, output.unit, dof, name=output.name))
-    return tuple(found)
+        found[output.name] = Value(output.value, u, output.unit, dof)
+    return found
 
 
 def start_angle(fit: Fit) -> float:
@@ -459,32 +462,31 @@ def differences_of_angle(fit: Fit, start_rad: float) -> Floats:
 
 
 def result_of(
-    made: Origin, method: str, chi2: float, dof: int, warnings: Sequence[str], undetermined: Sequence[str]
+    made: Origin, outputs: Sequence[Output], sources: Sources | None, warnings: Sequence[str], **about: Any
 ) -> FitResult:
     """Return the result of a fit: its parameters with uncertainties, residuals and warnings.
 
-    The arguments after `made` become attributes of the result. A warning is added if only the stage
-    determines the misalignment.
+    `about` are further attributes of the result. A warning is added if only the stage determines the
+    misalignment.
     """
-    fit, noise, sources = made.fit, made.noise, made.sources
-    found = estimates(made.outputs, sources)
+    fit, noise = made.fit, made.noise
+    found = values_of(outputs, sources)
     planar = fit.data.planar
     norm = np.linalg.norm(fit.gravity, axis=1)[:, None] - 1
     declared = np.isfinite(fit.data.angle_rad) & isinstance(fit.data.model, PlanarTurn)
     return FitResult(
-        method=method,
         parameters=found,
-        covariance=None if sources is None else variances(made.outputs, sources.covariance),
-        chi2=chi2,
-        dof=dof,
+        covariance=None if sources is None else variances(outputs, sources.covariance),
         residual_mg=fit.misfit if planar else norm * fit.data.gravity_mg,
         positions=tuple(fit.data.position.tolist()),
         angle_error_rad=differences_of_angle(fit, start_angle(fit))[declared] if declared.any() else None,
         warnings=(*warnings, *stage_warnings(found, noise.sigma_rad)),
-        undetermined=tuple(undetermined),
         extra_mg=noise.extra_mg,
         fixture_sigma_deg=math.degrees(noise.sigma_rad) if planar else None,
+        outputs=tuple(outputs),
+        sources=sources,
         origin=made,
+        **about,
     )
 
 
@@ -504,19 +506,21 @@ def calibration_as_recorded(result: FitResult) -> Calibration:
     where = known_provenance(result.provenance)
     gravity_mg = where.gravity_mps2 * MG_PER_MPS2
     model = PlanarTurn(gravity_mg) if where.plane == "xy" else FreeAttitude(gravity_mg)
-    estimates = {one.name: one for one in result.parameters}
+    estimates = dict(result.parameters)
     if where.plane == "xy" and "scale_x" not in estimates and "delta_k" in estimates:
         # Only the ratio of the gains is known, which is enough for an angle: the gain of Y is set to 1.
         ratio = estimates["delta_k"]
-        estimates["scale_x"] = Estimate(1 + ratio.value, ratio.u, "1", name="scale_x")
+        estimates["scale_x"] = Value(1 + ratio.value, ratio.u, "1")
     names = [name for name in names_of(model) if name in estimates]
-    given = [one.name for one in result.parameters]
-    rows = [given.index("delta_k" if name not in given else name) for name in names]
+    given = ["delta_k" if name not in result else name for name in names]
+    rows = [result.names.index(name) for name in given]
     matrix = None if result.covariance is None else result.covariance[np.ix_(rows, rows)]
     parameters = tuple(Coefficient.of(name, estimates[name]) for name in names)
     assumed = assumed_parameters(model, names)
-    if matrix is not None and result.origin is not None and result.origin.sources is not None:
-        held, matrix = _with_held_biases(result.origin, [given[row] for row in rows], assumed)
+    if result.sources is not None:
+        gradients = {one.name: one.gradient for one in result.outputs}
+        slopes = np.stack([gradients[name] for name in given])
+        held, matrix = _with_held_biases(result.sources, slopes, assumed, model.axes)
         parameters += held
     scales = [estimates[f"scale_{axis}"].value for axis in AXES[: model.axes]] if where.counts else []
     counts = tuple(scale / MG_PER_MPS2 for scale in scales) or None
@@ -531,7 +535,7 @@ def calibration_as_recorded(result: FitResult) -> Calibration:
 
 
 def _with_held_biases(
-    made: Origin, given: Sequence[str], assumed: Sequence[str]
+    sources: Sources, gradient: Floats, assumed: Sequence[str], axes: int
 ) -> tuple[tuple[Coefficient, ...], Floats]:
     """Return the biases that a fit took as zero, and the joint covariance of parameters and biases.
 
@@ -540,25 +544,21 @@ def _with_held_biases(
 
     Parameters
     ----------
-    made : Origin
-        Origin of the result, with known sources of uncertainty.
-    given : sequence of str
-        Names of the result's parameters, in the order of the covariance.
+    sources : Sources
+        Sources of the uncertainty of the result.
+    gradient : (p, q) float
+        Derivatives of the parameters of a calibration by the natural parameters of the fit.
     assumed : sequence of str
         Names of the parameters that the session does not determine.
     """
-    assert made.sources is not None
-    axes = made.readings.axes
-    outputs = {output.name: output.gradient for output in made.outputs}
-    gradient = np.stack([outputs[name] for name in given])
     # The bias is zero in the model: its error is the negative change of a further reading.
-    roots = made.sources.roots(
-        np.pad(gradient, ((0, axes), (0, 0))), np.pad(-np.eye(axes), ((len(given), 0), (0, 0)))
+    roots = sources.roots(
+        np.pad(gradient, ((0, axes), (0, 0))), np.pad(-np.eye(axes), ((len(gradient), 0), (0, 0)))
     )
     matrix = np.asarray(roots @ roots.T)
-    u = np.sqrt(np.diag(matrix)[len(given) :])
+    u = np.sqrt(np.diag(matrix)[len(gradient) :])
     held = [k for k, axis in enumerate(AXES[:axes]) if f"bias_{axis}" in assumed and u[k] > 0]
-    kept = [*range(len(given)), *(len(given) + k for k in held)]
+    kept = [*range(len(gradient)), *(len(gradient) + k for k in held)]
     biases = tuple(Coefficient(f"bias_{AXES[k]}", 0.0, float(u[k]), "mg") for k in held)
     return biases, matrix[np.ix_(kept, kept)]
 

@@ -33,7 +33,7 @@ say what to do if the turn does not meet them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -43,13 +43,12 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats, cumulative_integral, wrap_degrees
 from adis_gonio.base.errors import DataError, FitError, SingularError
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.uncertainty import Value, factor_over
 from adis_gonio.calibrate.calibration import independent_changes
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.answer import MethodComparison, Recommendation, Score
 from adis_gonio.fitting.estimation.readings import mg_per_unit
-from adis_gonio.fitting.fit_result import FitResult, Output, estimates
-from adis_gonio.fitting.uncertainty import BudgetRow, Kind, Source, Sources, budget_of, gradient_of_base
+from adis_gonio.fitting.fit_result import FitResult, Output, values_of
+from adis_gonio.fitting.uncertainty import Kind, ShownAngle, Source, Sources, gradient_of_base
 from adis_gonio.model.measurement import SENSOR_SPREAD
 from adis_gonio.model.records import MG_PER_MPS2, STANDARD_GRAVITY_MPS2, Session, Sweeps
 from adis_gonio.record.provenance import provenance_of
@@ -715,13 +714,8 @@ CAUSES: tuple[tuple[str, Kind], ...] = (
 class FreeTurnResult(FitResult):
     """Calibration and angle from one continuous turn without declared angles.
 
-    Attributes
-    ----------
-    sources : Sources
-        Sources of the uncertainty of the parameters, in the order and units of `parameters`.
+    The sources of the uncertainty are in the order and units of the parameters.
     """
-
-    sources: Sources = field(default=Sources(()), compare=False)
 
     @cached_property
     def comparison(self) -> MethodComparison:
@@ -731,35 +725,20 @@ class FreeTurnResult(FitResult):
         )
 
     @cached_property
-    def _shown(self) -> Floats:
-        """Derivative (m, p) in degrees of the calibrated angle by each parameter, at m angles of a turn."""
-        at = {one.name: k for k, one in enumerate(self.parameters)}
+    def _around(self) -> ShownAngle:
+        """Derivatives of the angle from gravity to X after calibration, at angles around the turn.
+
+        The uncertainty of this angle excludes the noise of a single reading.
+        """
         k_x, k_y = self["scale_x"].value, self["scale_y"].value
         base = np.array([0.0, k_x, k_y, math.radians(self["delta_phi"].value)])
         natural = gradient_of_base(base, zero=False)
         mg = 1000.0 if self.provenance is None else MG_PER_MPS2 * self.provenance.gravity_mps2
-        found = np.zeros((len(natural), len(at)))
+        found = np.zeros((len(natural), len(self.names)))
         # From natural units to the units of the result.
-        columns = [at[name] for name in ("scale_x", "scale_y", "delta_phi", "bias_x", "bias_y")]
+        columns = list(map(self.names.index, ("scale_x", "scale_y", "delta_phi", "bias_x", "bias_y")))
         found[:, columns] = natural[:, 1:] * [1.0, 1.0, math.pi / 180, 1 / mg, 1 / mg]
-        return found
-
-    @cached_property
-    def shown_angle(self) -> Value:
-        """Uncertainty (rms over a turn) of the angle from gravity to X after calibration; its value is NaN.
-
-        It comes from the parameters of the calibration and excludes the noise of a single reading.
-        """
-        u, dof = self.sources.uncertainty(self._shown)
-        return Value(math.nan, u, "deg", dof, factor_over(self.sources.by_place(self._shown), dof))
-
-    @cached_property
-    def budget(self) -> dict[str, tuple[BudgetRow, ...]]:
-        """Uncertainty budget of `delta_k`, `delta_phi` and `angle`: one row for each cause, by result."""
-        names = [one.name for one in self.parameters]
-        gradients = {name: np.eye(len(names))[[names.index(name)]] for name in ("delta_k", "delta_phi")}
-        gradients["angle"] = self._shown
-        return {name: budget_of(self.sources, gradient) for name, gradient in gradients.items()}
+        return ShownAngle(found, np.zeros((len(found), 2)))
 
 
 def fit_free_turn(session: Session) -> FreeTurnResult:
@@ -809,21 +788,20 @@ def _fitted(session: Session) -> FreeTurnResult:
         each.append(Source(name, kind, "normal", None, moves, dof=dof, estimate=k, unit="1"))
     sources = Sources(tuple(each))
     own = [replace(one, gradient=row) for one, row in zip(outputs, np.eye(len(outputs)), strict=True)]
-    parameters = estimates(own, sources)
-    u_phi = next(one.u or 0.0 for one in parameters if one.name == "delta_phi")
+    parameters = values_of(own, sources)
     wanted = int(session.facts.get("plan", {}).get("turns", 0))
-    notes += remarks(windows, solution.psi_rad, u_phi, wanted)
+    notes += remarks(windows, solution.psi_rad, parameters["delta_phi"].u or 0.0, wanted)
     accel = solution.residual_mg
     return FreeTurnResult(
-        METHOD,
-        parameters,
-        covariance,
-        float((accel**2 / solution.variances.accel_mg2[:, None]).sum()),
-        int(solution.variances.accel_dof),
-        accel,
-        (0,),
+        method=METHOD,
+        parameters=parameters,
+        covariance=covariance,
+        chi2=float((accel**2 / solution.variances.accel_mg2[:, None]).sum()),
+        dof=int(solution.variances.accel_dof),
+        residual_mg=accel,
+        positions=(0,),
         warnings=(*session.notes, *notes, *UNSEEN),
-        fixture_sigma_deg=None,
+        outputs=tuple(own),
         provenance=provenance_of(session),
         overrides=session.facts.get("overrides", {}),
         session_notes=session.notes,

@@ -95,8 +95,16 @@ def fit_ml(readings: Readings) -> FitResult:
         natural = natural_units(fit.data)
         response, rotation = response_of(fit, inverse, natural), by_rotation_of(fit, inverse, natural)
         sources = sources_of(readings, noise, fit, response, determination.held, rotation)
-    made = Origin(readings, noise, fit, tuple(reported), sources, determination)
-    return result_of(made, "ml", settled.chi2, settled.dof, warnings, (*unseen, *held, *lost))
+    return result_of(
+        Origin(readings, noise, fit, determination),
+        reported,
+        sources,
+        warnings,
+        method="ml",
+        chi2=settled.chi2,
+        dof=settled.dof,
+        undetermined=(*unseen, *held, *lost),
+    )
 
 
 def _warnings(
@@ -586,9 +594,16 @@ def _finish(
     dof = 2 * len(chosen) - (6 if linear.has_bias else 4)
     # Residuals of an unweighted fit are not χ² distributed; the smallest χ² of this model is.
     chi2 = fit.refit(200, 1e-12).chi2 if dof else 0.0
-    made = Origin(chosen, noise, fit, tuple(outputs), sources)
-    lost = () if linear.has_bias else ("bias_x", "bias_y")
-    return result_of(made, method, chi2, dof, (*warnings, *chosen.notes, *noise.notes), lost)
+    return result_of(
+        Origin(chosen, noise, fit),
+        outputs,
+        sources,
+        (*warnings, *chosen.notes, *noise.notes),
+        method=method,
+        chi2=chi2,
+        dof=dof,
+        undetermined=() if linear.has_bias else ("bias_x", "bias_y"),
+    )
 
 
 FREE_TURN = "free-turn"

@@ -9,20 +9,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.errors import FitError
-from adis_gonio.base.jsonable import KEYED_BY_NAME, JsonRecord
+from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import NAMES, count_decimals, format_fixed, format_unit
-from adis_gonio.base.uncertainty import COVERED
+from adis_gonio.base.uncertainty import COVERED, Value
 from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.fitting.fit_result import Estimate, FitResult, Origin, outputs_of
+from adis_gonio.fitting.fit_result import FitResult, Origin, outputs_of
 from adis_gonio.fitting.methods import METHOD_TABLE
-from adis_gonio.fitting.uncertainty import MODEL, TEMPERATURE, repeatability_of
+from adis_gonio.fitting.uncertainty import MODEL, TEMPERATURE, Sources, repeatability_of
 
 WITHIN = 0.01
 """Relative difference between a Monte Carlo and a linear standard uncertainty below which they count as
@@ -35,9 +35,7 @@ class Propagated:
 
     Attributes
     ----------
-    name, unit : str
-        Name and unit of the parameter.
-    linear : Estimate
+    linear : Value
         The fitted parameter with its uncertainty by linear propagation.
     u : float
         Standard deviation of the trials.
@@ -50,9 +48,7 @@ class Propagated:
         of `u`; empty without such a difference.
     """
 
-    name: str
-    unit: str
-    linear: Estimate
+    linear: Value
     u: float
     low: float
     high: float
@@ -65,7 +61,7 @@ class Propagated:
             "u": self.u,
             "low": self.low,
             "high": self.high,
-            "unit": self.unit,
+            "unit": self.linear.unit,
             "linear_u": self.linear.u,
             "linear_U": self.linear.U,
             "u_standard_error": self.u * self.doubt,
@@ -78,17 +74,13 @@ class MonteCarlo(JsonRecord):
     """Result of a Monte Carlo propagation for a `method`: the distribution of each parameter.
 
     `trials` is the number of trials with a result, `failed` of trials without one; `parameters` are the
-    results. Its JSON document is the entry `monte_carlo` of a result.
+    results by name. Its JSON document is the entry `monte_carlo` of a result.
     """
 
     method: str
     trials: int
     failed: int
-    parameters: tuple[Propagated, ...] = field(metadata=KEYED_BY_NAME)
-
-    def __getitem__(self, name: str) -> Propagated:
-        """Return the result for the parameter of this name."""
-        return next(p for p in self.parameters if p.name == name)
+    parameters: dict[str, Propagated]
 
     def rows(self) -> tuple[list[str], list[list[str]]]:
         """Return head and rows of a table that compares Monte Carlo with linear propagation.
@@ -97,11 +89,11 @@ class MonteCarlo(JsonRecord):
         """
         head = ["parameter", "unit", "u", "u, linear", "from", "to", "U, linear"]
         rows = []
-        for p in self.parameters:
+        for name, p in self.parameters.items():
             decimals = 1 + count_decimals((p.high - p.low) / 2)
             figures = (p.u, p.linear.u, p.low, p.high, p.linear.U)
             shown = (format_fixed(figure, decimals) for figure in figures)
-            rows.append([NAMES.get(p.name, p.name), format_unit(p.unit), *shown])
+            rows.append([NAMES.get(name, name), format_unit(p.linear.unit), *shown])
         return head, rows
 
     @property
@@ -110,7 +102,7 @@ class MonteCarlo(JsonRecord):
 
         Without any, one sentence states that both agree.
         """
-        remarks = [f"{NAMES.get(p.name, p.name)}: {p.why}" for p in self.parameters if p.why]
+        remarks = [f"{NAMES.get(name, name)}: {p.why}" for name, p in self.parameters.items() if p.why]
         if self.failed:
             remarks.append(f"{self.failed} trials gave no result and were left out")
         return remarks or ["the linear uncertainties agree within 1 % and the error of the trials"]
@@ -132,10 +124,10 @@ def monte_carlo(result: FitResult, trials: int, rng: np.random.Generator) -> Mon
         The noise of a reading is unknown, or no trial gives a result.
     """
     made = result.origin
-    if made is None or made.sources is None:
+    if made is None or result.sources is None:
         raise FitError("the noise of a reading is unknown: there are no distributions to propagate")
     values, failed = [], 0
-    draw, refit = _drawing(made, rng), METHOD_TABLE[result.method].refit
+    draw, refit = _drawing(made, result.sources, rng), METHOD_TABLE[result.method].refit
     for _ in range(trials):
         try:
             fit = refit(made.noise.applied(draw()), made)
@@ -145,15 +137,18 @@ def monte_carlo(result: FitResult, trials: int, rng: np.random.Generator) -> Mon
         parameters = np.zeros(len(fit.values.base) + fit.data.axes)
         parameters[: len(fit.values.parameters)] = fit.values.parameters
         by_name = {output.name: output.value for output in outputs_of(fit.data, parameters)}
-        values.append([by_name[e.name] for e in result.parameters])
+        values.append([by_name[name] for name in result.parameters])
     if len(values) < 2:
         raise FitError("no trial of the Monte Carlo propagation gave a result")
     found = np.array(values)
-    kept = [_propagated(made, e, found[:, k], k) for k, e in enumerate(result.parameters)]
-    return MonteCarlo(result.method, len(values), failed, tuple(kept))
+    kept = {
+        output.name: _propagated(result[output.name], found[:, k], result.sources, output.gradient)
+        for k, output in enumerate(result.outputs)
+    }
+    return MonteCarlo(result.method, len(values), failed, kept)
 
 
-def _drawing(made: Origin, rng: np.random.Generator) -> Callable[[], Readings]:
+def _drawing(made: Origin, sources: Sources, rng: np.random.Generator) -> Callable[[], Readings]:
     """Return a function that makes simulated readings at each call.
 
     They are the session's readings plus a random error from the distribution of every input.
@@ -163,9 +158,8 @@ def _drawing(made: Origin, rng: np.random.Generator) -> Callable[[], Readings]:
     roots, dof, estimate = repeatability_of(data, noise)
     sigma = np.where(np.isfinite(fit.data.fixture), fit.data.fixture, 0.0)
     # Changes of the readings by errors that act on all dwells.
-    sources = () if made.sources is None else made.sources.each
     shared = [
-        one.acts_mg for one in sources if one.name in (TEMPERATURE, MODEL) and one.acts_mg is not None
+        one.acts_mg for one in sources.each if one.name in (TEMPERATURE, MODEL) and one.acts_mg is not None
     ]
     # Half width of a rectangle with the variance of quantization.
     rounding = np.zeros((n, axes)) if data.quantization is None else np.sqrt(3 * data.quantization)
@@ -210,7 +204,11 @@ def _students(rng: np.random.Generator, dof: Floats, estimate: Any) -> Floats:
     return factor
 
 
-def _propagated(made: Origin, linear: Estimate, values: Floats, k: int) -> Propagated:
+def _propagated(linear: Value, values: Floats, sources: Sources, gradient: Floats) -> Propagated:
+    """Return the distribution of a parameter by the trials' `values` (t,), next to the result `linear`.
+
+    `gradient` (p,) is the derivative of the parameter by the natural parameters.
+    """
     n = len(values)
     if linear.unit == "deg":  # a mean of angles on both sides of ±180° is none
         values = linear.value + wrap_degrees(values - linear.value)
@@ -220,17 +218,15 @@ def _propagated(made: Origin, linear: Estimate, values: Floats, k: int) -> Propa
     kurtosis = float((centred**4).mean() / max((centred**2).mean() ** 2, 1e-300))
     doubt = math.sqrt(max(kurtosis - 1, 1e-3) / (4 * n))
     low, high = np.quantile(centred, [0.5 * (1 - COVERED), 0.5 * (1 + COVERED)]) + values.mean()
-    return Propagated(
-        linear.name, linear.unit, linear, u, float(low), float(high), doubt, _why(made, linear, u, doubt, k)
-    )
+    wide = _students_u(sources, gradient)
+    return Propagated(linear, u, float(low), float(high), doubt, _why(linear, u, doubt, wide))
 
 
-def _why(made: Origin, linear: Estimate, u: float, doubt: float, k: int) -> str:
+def _why(linear: Value, u: float, doubt: float, wide: float) -> str:
     stated = linear.u or 0.0
     if abs(u - stated) <= (WITHIN + 2 * doubt) * stated:
         return ""
     ratio = f"u is {u / stated:.3g} times the linear one" if stated else "the linear u is zero"
-    wide = _students_u(made, made.outputs[k].gradient)
     if math.isfinite(wide) and abs(u - wide) <= (WITHIN + 3 * doubt) * wide:
         return f"{ratio}: with {linear.dof:.3g} degrees of freedom Student's distribution is wider"
     if math.isinf(wide):
@@ -240,15 +236,14 @@ def _why(made: Origin, linear: Estimate, u: float, doubt: float, k: int) -> str:
     )
 
 
-def _students_u(made: Origin, gradient: Floats) -> float:
+def _students_u(sources: Sources, gradient: Floats) -> float:
     """Return the standard deviation of a quantity by linear propagation with Student's t.
 
     Each source has its own degrees of freedom. `gradient` (p,) is the derivative of the quantity by the
     natural parameters. The result is infinite if a source has two degrees of freedom or fewer.
     """
-    assert made.sources is not None
     total = 0.0
-    for _, dof, variance in made.sources.parts(gradient[None]):
+    for _, dof, variance in sources.parts(gradient[None]):
         if variance <= 1e-9 * (total + 1e-300):
             continue
         if dof <= 2:

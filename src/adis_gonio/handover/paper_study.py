@@ -171,7 +171,7 @@ def estimates_of(result: FitResult | TraceResult) -> Estimates:
         for finding in result.found:
             stated |= finding.parameters if finding.effect == "bias" else {}
     else:
-        stated = {estimate.name: estimate for estimate in result.parameters}
+        stated = dict(result.parameters)
     found = {name: (one.value, math.nan if one.u is None else one.u) for name, one in stated.items()}
     if isinstance(result, FitResult) and result.method == "paper" and result.origin is not None:
         k_x, k_y = result.origin.fit.values.base[1:3].tolist()

@@ -445,19 +445,19 @@ def _median(exact: PlanUncertainty, sessions: Sequence[PlanUncertainty | None]) 
 
 
 def _reach(result: FitResult) -> PlanUncertainty:
-    origin, angle = result.origin, result.shown_angle
+    origin, sources, angle = result.origin, result.sources, result.shown_angle
     # The noise is known and the part turns in a plane.
     assert origin is not None
-    assert origin.sources is not None
+    assert sources is not None
     assert angle is not None
     shown = ShownAngle.around(origin.fit)
-    whole = float(np.sqrt(origin.sources.by_place(shown.gradient, shown.reading).max()))
-    roots = origin.sources.roots(shown.gradient, shown.reading)
+    whole = float(np.sqrt(sources.by_place(shown.gradient, shown.reading).max()))
+    roots = sources.roots(shown.gradient, shown.reading)
     fitted = math.sqrt(float((roots**2).sum(axis=1).max()))
     sure = angle.u is not None
     return PlanUncertainty(
         result.method,
-        {one.name: replace(one, value=math.nan) for one in result.parameters},
+        {name: replace(one, value=math.nan) for name, one in result.parameters.items()},
         angle,
         Value(math.nan, whole if sure else None, "deg"),
         fitted if sure else math.nan,

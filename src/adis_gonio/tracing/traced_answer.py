@@ -129,7 +129,7 @@ def answer_with_trace(result: FitResult, trace: TraceResult | None, *, own: bool
         return plain
     likely = next((r for r in comparison.results if r.method == "ml"), comparison.best)
     # Effects of the traced model that this fit lacks; most fits contain biases.
-    biased = any(e.name.startswith("bias_") for e in likely.parameters)
+    biased = any(name.startswith("bias_") for name in likely.parameters)
     steps = dict.fromkeys(step.effect for step in trace.steps)
     names = tuple(name for name in steps if not (biased and name == "bias"))
     if not names:

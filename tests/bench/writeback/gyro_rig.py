@@ -38,7 +38,10 @@ def known_gyros(bus, *, u_dps: float = 0.004, more: dict[str, float] | None = No
     units = {name: "dps" if name.startswith("gyro") else "dps/g" for name in values}
     parameters = {name: Value(v, u_dps, units[name]) for name, v in values.items()}
     matrix = np.diag([u_dps**2] * len(values))
-    return GyroFit(parameters, matrix, 0.0, 1, np.zeros((1, 3)), (0,), 0)
+    return GyroFit(
+        parameters=parameters, covariance=matrix, chi2=0.0, dof=1, residual_dps=np.zeros((1, 3)),
+        positions=(0,), turns=0,
+    )  # fmt: skip
 
 
 def _signed(word: int) -> int:

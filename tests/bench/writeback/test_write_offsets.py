@@ -295,8 +295,8 @@ def test_a_model_that_lacks_something_is_refused_unless_told(tmp_path):
 def test_a_bias_smaller_than_its_uncertainty_is_a_doubt(recorded):
     session = load_session(recorded)
     result = fit(session)
-    vague = [replace(e, u=30.0) if e.name == "bias_y" else e for e in result.parameters]
-    plan = plan_offsets(session, replace(result, parameters=tuple(vague)), recorded_offsets(session))
+    vague = result.parameters | {"bias_y": replace(result["bias_y"], u=30.0)}
+    plan = plan_offsets(session, replace(result, parameters=vague), recorded_offsets(session))
     assert len(plan.doubts) == 1
     assert "bias_y" in plan.doubts[0]
     assert "even its sign is open" in plan.doubts[0]
@@ -396,8 +396,8 @@ def test_other_offsets_of_the_same_session_are_refused_until_the_first_are_undon
     wrote(bus, path)
     other = writer(bus, path)
     result = other._part.result
-    more = [replace(e, value=e.value + 5.0) if e.name == "bias_x" else e for e in result.parameters]
-    other._part.result = replace(result, parameters=tuple(more))
+    more = {"bias_x": replace(result["bias_x"], value=result["bias_x"].value + 5.0)}
+    other._part.result = replace(result, parameters=result.parameters | more)
     with pytest.raises(SessionError, match="--undo them first"):
         other.plan()
     assert numbers(bus) == NEW

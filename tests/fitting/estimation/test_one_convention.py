@@ -64,10 +64,10 @@ def test_fit_trace_and_the_simulated_truth_agree_on_every_shared_name(space: boo
         by_fit = fit(session, method="ml")
         if seed < 6:
             both |= agreed(trace(session, max_effects=1), by_fit)
-        for estimate in by_fit.parameters:
+        for name, estimate in by_fit.parameters.items():
             if estimate.u:
-                z = (estimate.value - truth[estimate.name]) / estimate.u
-                off.setdefault(estimate.name, []).append(z)
+                z = (estimate.value - truth[name]) / estimate.u
+                off.setdefault(name, []).append(z)
     assert {"scale_x", "scale_y"} <= both <= set(off)
     for name in both:
         z = np.array(off[name])
@@ -80,7 +80,7 @@ def agreed(result: TraceResult, by_fit: FitResult) -> set[str]:
     traced = dict(result.base)
     for finding in result.found:
         traced |= finding.parameters
-    shared = set(traced) & {estimate.name for estimate in by_fit.parameters}
+    shared = set(traced) & by_fit.parameters.keys()
     assert {"scale_x", "scale_y"} <= shared
     for name in shared:
         estimate, value = by_fit[name], traced[name]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,9 +12,11 @@ from click.testing import CliRunner
 
 import adis_gonio
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.bench.gyro_turns import gyro_turns_plan
 from adis_gonio.faces.cli import app
 from adis_gonio.fitting import fit
+from adis_gonio.fitting.fit_result import FittedParameters
 from adis_gonio.fitting.gyros.gyro_fit import TIME_BASE_U, fit_gyro
 from adis_gonio.fitting.gyros.gyro_readings import rate_intervals
 from adis_gonio.fitting.gyros.turn_integration import NAMES, UNKNOWN_BIAS_MG, Axes
@@ -91,8 +92,8 @@ def off(result):
 
 def result_of(values, covariance):
     """A fit that determined these parameters."""
-    parameters = tuple(SimpleNamespace(name=name, value=value) for name, value in values.items())
-    return SimpleNamespace(parameters=parameters, covariance=covariance)
+    parameters = {name: Value(value, None, "1") for name, value in values.items()}
+    return FittedParameters(parameters=parameters, covariance=covariance, chi2=0.0, dof=0, positions=())
 
 
 def test_modes_are_what_each_unknown_does_to_a_direction():

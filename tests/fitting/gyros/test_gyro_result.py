@@ -21,8 +21,9 @@ VALUES = {
     "gyro_scale_z": Value(1.00984, 0.00041, "1"),
 }
 RESULT = GyroFit(
-    VALUES, np.eye(3), 3.0, 2, np.array([[3.0, 0.0, 0.0], [0.0, 4.0, 0.0]]), tuple(range(17)), 3
-)
+    parameters=VALUES, covariance=np.eye(3), chi2=3.0, dof=2,
+    residual_dps=np.array([[3.0, 0.0, 0.0], [0.0, 4.0, 0.0]]), positions=tuple(range(17)), turns=3,
+)  # fmt: skip
 
 
 def test_dwells_and_turns_are_counted_apart() -> None:

@@ -236,7 +236,7 @@ def test_poses_that_gravity_alone_leaves_undetermined_are_determined_by_links() 
     data, links = linked_part(5, np.random.default_rng(5))
     assert determine(data).null.shape[1] or determine(data).held
     linked = fit_readings(replace(data, links=links))
-    assert {one.name for one in linked.parameters} == set(names_of(data.model))
+    assert linked.parameters.keys() == set(names_of(data.model))
     assert not linked.undetermined
 
 
@@ -276,7 +276,7 @@ def test_u_with_links_covers_what_it_says() -> None:
         data, links = linked_part(6, rng)
         result = fit_readings(replace(data, links=links))
         true = dict(zip(names_of(data.model), [*TRUE[:3], *np.degrees(TRUE[3:]), *BIAS_MG], strict=True))
-        inside += [abs(one.value - true[one.name]) <= one.U for one in result.parameters if one.U]
+        inside += [abs(one.value - true[k]) <= one.U for k, one in result.parameters.items() if one.U]
     # 720 intervals, nine a session alike: four of their standard deviations.
     assert len(inside) == 720
     assert 0.95 - 0.06 < np.mean(inside) < 0.95 + 0.04
@@ -517,10 +517,10 @@ def test_five_poses_by_hand_determine_all_parameters_by_the_turns_between_them(
         assert result.links is not None
         assert result.links.used == 4
         assert not result.undetermined
-        for one in result.parameters:
+        for name, one in result.parameters.items():
             assert one.u is not None
-            assert abs(one.value - true[one.name]) < 4 * one.u
-    u = [[one.u or np.inf for one in result.parameters] for result in (by_sheet, by_calibration)]
+            assert abs(one.value - true[name]) < 4 * one.u
+    u = [[one.u or np.inf for one in result.parameters.values()] for result in (by_sheet, by_calibration)]
     assert np.median(np.array(u[1]) / np.array(u[0])) < 0.7
 
 
@@ -528,7 +528,7 @@ def test_nine_poses_are_surer_with_turns_and_say_so_in_one_line(simulated: tuple
     session = simulated[0]
     alone, result = fit_of(readings_of(session), "ml"), fit(session)
     assert result.links is not None
-    ratios = [(result[one.name].u or 0) / (one.u or 0) for one in alone.parameters]
+    ratios = [(result[name].u or 0) / (one.u or 0) for name, one in alone.parameters.items()]
     assert max(ratios) <= 1.02
     assert np.median(ratios) < 0.95
     told = [line for line in Answer.of(result).facts() if "turns between the poses" in line]
@@ -599,9 +599,7 @@ def test_false_gyros_leave_the_fit_of_gravity_alone_and_one_line(
     assert result.links is not None
     assert result.links.used == 0
     assert [line for line in Answer.of(result).facts() if "not used" in line]
-    assert [(one.name, one.value, one.u) for one in result.parameters] == [
-        (one.name, one.value, one.u) for one in alone.parameters
-    ]
+    assert list(result.parameters.items()) == list(alone.parameters.items())
 
 
 def test_a_turn_with_lost_scans_and_one_beyond_the_range_are_left_out_with_the_reason(
@@ -707,8 +705,8 @@ def test_monte_carlo_draws_the_links_too(simulated: tuple[Session, World]) -> No
 
     result = fit(_first(simulated[0], 6))
     run = monte_carlo(result, 150, np.random.default_rng(4))
-    for one in result.parameters:
-        assert run[one.name].u == pytest.approx(one.u, rel=0.35)
+    for name, one in result.parameters.items():
+        assert run.parameters[name].u == pytest.approx(one.u, rel=0.35)
 
 
 def test_rows_of_a_fit_without_links_are_those_of_its_dwells() -> None:

@@ -352,7 +352,7 @@ class Accelerometers:
                 f"{session.source}: the fit does not give {', '.join(missing) or 'uncertainties'}"
             )
         fitted = [k for k, (name, _, _) in enumerate(rows) if name in result]
-        order = [[e.name for e in result.parameters].index(rows[k][0]) for k in fitted]
+        order = [result.names.index(rows[k][0]) for k in fitted]
         scale = np.array([rows[k][1] for k in fitted])
         offsets = {axis.axis: (axis.now - axis.recorded) * axis.lsb for axis in plan.axes}
         at = np.zeros(len(rows) + axes + 1)

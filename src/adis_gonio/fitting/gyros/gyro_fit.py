@@ -30,17 +30,17 @@ from adis_gonio.base.arrays import Floats, central_differences, solvable
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.tables import ParameterTable
 from adis_gonio.base.uncertainty import INADEQUATE, Value
 from adis_gonio.calibrate.gyro_calibration import UNIT_OF, GyroCalibration, gyro_directions
 from adis_gonio.fitting.estimation.fit import Fit, adequacy
 from adis_gonio.fitting.estimation.readings import GYRO, Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm
+from adis_gonio.fitting.fit_result import FittedParameters
 from adis_gonio.fitting.gyros.gyro_readings import gyro_readings_of
 from adis_gonio.model.effects import AXES, Effect, effect
 from adis_gonio.model.measurement import SKEW_AXES
 from adis_gonio.model.records import Session
-from adis_gonio.record.provenance import Provenance, provenance_of
+from adis_gonio.record.provenance import provenance_of
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate.calibration import Calibration
@@ -148,27 +148,19 @@ def alignment(parameters: Mapping[str, Value], covariance: Floats) -> dict[str, 
     return {name: Value(value, math.sqrt(max(u2, 0.0)), "deg", dof) for name, value, u2 in found}
 
 
-class GyroFit(ParameterTable):
+class GyroFit(FittedParameters, kw_only=True):
     """Result of a fit of the gyros: their parameters with covariance, residuals and warnings.
+
+    The parameters are `gyro_bias_x …` (dps), and the determined ones of `g_sensitivity_xy …` (dps/g; the
+    gyro, the axis of force), `gyro_scale_x …` (1 is perfect) and `gyro_misalignment_xy …` (deg; the gyro,
+    the axis of misalignment). Undetermined ones are fixed at the values of perfect gyros.
 
     Attributes
     ----------
-    parameters : mapping of str to Value
-        `gyro_bias_x …` (dps), and the determined ones of `g_sensitivity_xy …` (dps/g; the gyro, the axis of
-        force), `gyro_scale_x …` (1 is perfect) and `gyro_misalignment_xy …` (deg; the gyro, the axis of
-        misalignment).
-    covariance : (p, p) float
-        In the order and units of `parameters`.
-    chi2, dof : float, int
-        Weighted sum of the squared residuals by the measured noise, and its degrees of freedom.
     residual_dps : (n, 3) float
         Reading minus model of each interval (dwell or turn) used.
-    positions : tuple of int
-        Number of each dwell, or of the dwell in which a turn ends.
     turns : int
         Number of turns among the intervals.
-    undetermined : tuple of str
-        Parameters that the session does not determine; they are fixed at the values of perfect gyros.
     doubts : tuple of str
         Reasons to doubt the gyros, or that they were at rest; they are also in `warnings`.
     inflation : mapping of str to float
@@ -176,8 +168,6 @@ class GyroFit(ParameterTable):
         residual agrees with the measured noise.
     reference_temperature_c : float or None
         Mean temperature of the fitted dwells; None if not recorded.
-    provenance, overrides : Provenance or None, mapping
-        Origin of the readings (None if no session was given), and values of its file that were overridden.
     fit : Fit or None
         The fitted model on its readings.
     scores : mapping of str to mapping
@@ -185,32 +175,17 @@ class GyroFit(ParameterTable):
         dwells, left out one by one: rms over all axes, largest error, and rms by axis, as in JSON.
     """
 
-    parameters: dict[str, Value]
     covariance: Floats
-    chi2: float
-    dof: int
     residual_dps: Floats
-    positions: tuple[int, ...]
     turns: int
-    warnings: tuple[str, ...] = ()
-    undetermined: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
     inflation: dict[str, float] = field(default_factory=dict)
     reference_temperature_c: float | None = None
     scores: dict[str, dict[str, Any]] = field(default_factory=dict)
-    provenance: Provenance | None = field(default=None, compare=False)
-    overrides: dict[str, Any] = field(default_factory=dict)
     fit: Fit | None = field(default=None, compare=False)
 
     method = METHOD
     part = GYRO
-
-    def __getitem__(self, name: str) -> Value:
-        """Return the parameter of this name; `KeyError` if the session does not determine it."""
-        return self.parameters[name]
-
-    def __contains__(self, name: object) -> bool:
-        return name in self.parameters
 
     @cached_property
     def triad(self) -> dict[str, Value] | None:
@@ -226,7 +201,7 @@ class GyroFit(ParameterTable):
         return float(np.sqrt((self.residual_dps**2).mean()))
 
     def __repr__(self) -> str:
-        shown = ", ".join(f"{name} {value}" for name, value in list(self.parameters.items())[:3])
+        shown = ", ".join(f"{name} {self[name]}" for name in self.names[:3])
         return f"GyroFit({self.held}, {shown})"
 
     @property
@@ -249,8 +224,7 @@ class GyroFit(ParameterTable):
 
     def calibration_as_recorded(self) -> GyroCalibration:
         """Return the calibration for the offsets of the gyros while the session was recorded."""
-        covariance = list(self.parameters), self.covariance
-        return GyroCalibration.of(self.parameters, covariance, where=self.provenance)
+        return GyroCalibration.of(self.parameters, (self.names, self.covariance), where=self.provenance)
 
     @property
     def doubts_of_offsets(self) -> tuple[str, ...]:
@@ -265,7 +239,7 @@ class GyroFit(ParameterTable):
             method=self.method,
             part=self.part,
             parameters=self.parameters,
-            covariance={"names": list(self.parameters), "matrix": self.covariance},
+            covariance={"names": self.names, "matrix": self.covariance},
             scores=self.scores,
             chi2=self.chi2,
             dof=self.dof,

@@ -714,13 +714,13 @@ class Axes:
         covariance, known = np.diag(np.repeat(np.array(prior, dtype=float), 3) ** 2), set[str]()
         for source in sources:
             # Δφ of a result in the plane is the skew of X and Y.
-            order = ["skew_xy" if one.name == "delta_phi" else one.name for one in source.parameters]
+            order = ["skew_xy" if name == "delta_phi" else name for name in source.names]
             # Parameters that no earlier source has measured.
             new = [k for k, name in enumerate(NAMES) if name in order and name not in known]
             if source.covariance is None or not new:
                 continue
             rows = [order.index(NAMES[k]) for k in new]
-            values[new] = [source.parameters[row].value for row in rows] * _NATURAL[new]
+            values[new] = [source[source.names[row]].value for row in rows] * _NATURAL[new]
             # Covariance of the new parameters, from the units of results to those used here.
             block = source.covariance[np.ix_(rows, rows)] * np.outer(_NATURAL[new], _NATURAL[new])
             covariance[np.ix_(new, new)] = block
