@@ -21,7 +21,6 @@ from adis_gonio.fitting.methods import (
     applicable_to,
     as_printed,
     default_method,
-    fit_mmpm,
     fit_paper,
     fit_positions,
     fit_readings,
@@ -68,10 +67,14 @@ def test_positions_are_found_to_half_a_degree_and_modulo_a_turn() -> None:
     assert [len(rows) for rows in rows_at(lost, (0, 90))] == [0, 0]
 
 
+def linear(data: Readings, angles: tuple[int, ...] | None = None, *, bias: bool = True) -> module._Linear:
+    return module._linear(data, "two-position", angles, bias=bias)
+
+
 def test_dwells_of_one_position_share_its_weight() -> None:
-    chosen, weights = module._grouped(turned((90.0, 0.0, 45.0, 0.0, 0.2)), "two-position", (0, 90))
-    assert chosen.position.tolist() == [1, 3, 4, 0]
-    np.testing.assert_allclose(weights, [[1 / 3, 1 / 3, 1 / 3, 0], [0, 0, 0, 1]])
+    found = linear(turned((90.0, 0.0, 45.0, 0.0, 0.2)), (0, 90), bias=False)
+    assert found.data.position.tolist() == [1, 3, 4, 0]
+    np.testing.assert_allclose(found.weights, [[1 / 3, 1 / 3, 1 / 3, 0], [0, 0, 0, 1]])
 
 
 @pytest.mark.parametrize(
@@ -94,25 +97,23 @@ def test_counts_have_no_zero_for_two_positions_and_need_none_for_four() -> None:
 @pytest.mark.parametrize(("angles", "bias"), [((0.0, 90.0, 0.0), False), ((5.0, 80.0, 200.0, 310.0), True)])
 def test_derivatives_are_the_slopes_of_the_parameters(angles: tuple[float, ...], bias: bool) -> None:
     data = turned(angles, bias=(9.0, -4.0) if bias else (0.0, 0.0), noise=1.0)
-    if bias:
-        chosen, weights = data, np.eye(4)
-    else:
-        chosen, weights = module._grouped(data, "two-position", (0, 90))
-    found = module._linear(chosen, weights, bias=bias)
+    used = None if bias else (0, 90)
+    found = linear(data, used, bias=bias)
+    chosen = found.data
     assert found.has_bias == bias
     for k in range(len(chosen)):
         for axis in range(2):
             step = np.zeros_like(chosen.mean)
             step[k, axis] = 1e-4
-            high = module._linear(replace(chosen, mean=chosen.mean + step), weights, bias=bias).beta
-            low = module._linear(replace(chosen, mean=chosen.mean - step), weights, bias=bias).beta
+            high = linear(replace(chosen, mean=chosen.mean + step), used, bias=bias).beta
+            low = linear(replace(chosen, mean=chosen.mean - step), used, bias=bias).beta
             slope = (high - low) / 2e-4 * G
             np.testing.assert_allclose(found.derivative[:, k, axis], slope, atol=1e-6)
 
 
 def test_a_turn_gives_its_parameters_back() -> None:
     data = turned((10.0, 100.0, 230.0, 300.0), bias=(9.8, -4.9))
-    found = module._linear(data, np.eye(4), bias=True)
+    found = linear(data)
     np.testing.assert_allclose(found.beta, [ALPHA, K_X, K_Y, PHI, 0.01, -0.005], atol=1e-12)
     assert turn_parameters(np.array([[-1.0, 0.1], [0.0, 1.0]]))[3] == pytest.approx(
         np.arctan2(0.1, -1.0) - math.pi + 2 * math.pi * (np.arctan2(0.1, -1.0) < 0)
@@ -122,22 +123,22 @@ def test_a_turn_gives_its_parameters_back() -> None:
 def test_angles_that_do_not_tell_a_turn_and_axes_that_do_not_follow_it_are_refused() -> None:
     close = turned((0.0, 0.01, 0.02, 90.0))
     with pytest.raises(SingularError, match="do not determine cosine, sine and zero"):
-        module._linear(close.rows(np.arange(4) < 3), np.eye(3), bias=True)
+        linear(close.rows(np.arange(4) < 3))
     # Three angles d apart have a least singular value of about d²/√6: 1e-3 at 2.8°.
     with pytest.raises(SingularError, match="do not determine cosine, sine and zero"):
-        module._linear(turned((0.0, 2.0, 4.0)), np.eye(3), bias=True)
-    assert module._linear(turned((0.0, 4.0, 8.0)), np.eye(3), bias=True).has_bias
+        linear(turned((0.0, 2.0, 4.0)))
+    assert linear(turned((0.0, 4.0, 8.0))).has_bias
     dead = turned(FOUR)
     with pytest.raises(SingularError, match="an axis does not follow the rotation"):
-        module._linear(replace(dead, mean=dead.mean * [1.0, 1e-4]), np.eye(4), bias=True)
+        linear(replace(dead, mean=dead.mean * [1.0, 1e-4]))
 
 
 def test_mmpm_is_least_squares_of_nine_positions_or_more() -> None:
     angles = tuple(40.0 * k for k in range(9))
     with pytest.raises(FitError, match="nine or more positions with a declared angle, there are 8"):
-        fit_mmpm(turned(angles[:8]))
+        fit_positions(turned(angles[:8]), "mmpm", None)
     data = turned(angles, noise=2.0, bias=(5.0, -3.0))
-    found = fit_mmpm(data)
+    found = fit_positions(data, "mmpm", None)
     theta = np.radians(angles)
     rows = np.column_stack([np.cos(theta), np.sin(theta), np.ones(9)])
     (ax, ay), (bx, by), zero = np.linalg.lstsq(rows, data.mean, rcond=None)[0]
@@ -156,7 +157,7 @@ def test_chi2_of_mmpm_is_that_of_least_squares_however_large_the_noise() -> None
     theta = np.radians(40.0 * np.arange(9))
     rows = np.column_stack([np.cos(theta), np.sin(theta), np.ones(9)])
     left = np.linalg.lstsq(rows, data.mean, rcond=None)[1].sum()
-    assert fit_mmpm(data).chi2 == pytest.approx(left / 100.0**2, rel=1e-6)
+    assert fit_positions(data, "mmpm", None).chi2 == pytest.approx(left / 100.0**2, rel=1e-6)
 
 
 def refit(method: str, data: Readings) -> Fit:

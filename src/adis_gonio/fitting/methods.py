@@ -95,16 +95,9 @@ def fit_ml(readings: Readings) -> FitResult:
         natural = natural_units(fit.data)
         response, rotation = response_of(fit, inverse, natural), by_rotation_of(fit, inverse, natural)
         sources = sources_of(readings, noise, fit, response, determination.held, rotation)
-    return result_of(
-        Origin(readings, noise, fit, determination),
-        reported,
-        sources,
-        warnings,
-        method="ml",
-        chi2=settled.chi2,
-        dof=settled.dof,
-        undetermined=(*unseen, *held, *lost),
-    )
+    made, open_ = Origin(readings, noise, fit, determination), (*unseen, *held, *lost)
+    about: dict[str, Any] = {"chi2": settled.chi2, "dof": settled.dof, "undetermined": open_}
+    return result_of(made, reported, sources, warnings, method="ml", **about)
 
 
 def _warnings(
@@ -194,12 +187,24 @@ as a division by zero."""
 
 @dataclass(frozen=True)
 class _Linear:
-    """Result of a linear fit: the parameters `beta` (6,), and their derivative by the readings.
+    """Linear fit of the dwells that a closed form uses.
 
-    `beta` has α, K_x, K_y, Δφ (rad and 1) and both biases in local gravity; the derivative is (6, n, 2).
-    `has_bias` is False if the biases were taken as zero.
+    Attributes
+    ----------
+    data : Readings
+        The n dwells.
+    weights : (angles, n) float
+        Weight of each dwell in the mean reading at each angle.
+    beta : (6,) float
+        α, K_x, K_y, Δφ (rad and 1) and both biases in local gravity.
+    derivative : (6, n, 2) float
+        Derivative of `beta` by the readings in local gravity.
+    has_bias : bool
+        False if the biases were taken as zero.
     """
 
+    data: Readings
+    weights: Floats
     beta: Floats
     derivative: Floats
     has_bias: bool
@@ -212,61 +217,40 @@ def rows_at(readings: Readings, angles_deg: tuple[int, ...]) -> list[NDArray[np.
         return [np.flatnonzero(np.abs(wrap_degrees(degrees - a)) <= TOLERANCE_DEG) for a in angles_deg]
 
 
-def fit_positions(readings: Readings, method: str, angles_deg: tuple[int, ...]) -> FitResult:
-    """Fit the method `two-position` (0°, 90°) or `four-position` (0°, 90°, 180°, 270°).
+def fit_positions(readings: Readings, method: str, angles_deg: tuple[int, ...] | None) -> FitResult:
+    """Fit the method `two-position` (0°, 90°), `four-position` (0°, 90°, 180°, 270°) or `mmpm`.
 
-    Dwells at the same position are averaged.
-
-    Raises
-    ------
-    FitError
-        A position is missing, or the readings are in counts, which have no known zero.
-    """
-    chosen, weights = _grouped(readings, method, angles_deg)
-    linear = _linear(chosen, weights, bias=len(angles_deg) > 2)
-    warnings = [] if linear.has_bias else _blind_to_bias(readings, chosen, linear)
-    return _finish(chosen, method, linear, _noise(readings, chosen), warnings)
-
-
-def fit_mmpm(readings: Readings) -> FitResult:
-    """Fit the method `mmpm`: unweighted least squares at nine or more declared angles.
+    Dwells at the same position are averaged. `mmpm` has no `angles_deg`: it is the unweighted least-squares
+    fit to all dwells with a declared angle.
 
     Raises
     ------
     FitError
-        Fewer than nine dwells have a declared angle.
+        A position is missing, there are fewer than nine for `mmpm`, or the readings are in counts, which
+        have no known zero.
     SingularError
         The dwells are at fewer than three different angles.
     """
-    rows = np.flatnonzero(np.isfinite(readings.angle_rad))
-    if len(rows) < LEAST_MMPM:
+    declared = int(np.isfinite(readings.angle_rad).sum())
+    if angles_deg is None and declared < LEAST_MMPM:
         raise FitError(
-            f"method mmpm needs nine or more positions with a declared angle, there are {len(rows)}; "
+            f"method mmpm needs nine or more positions with a declared angle, there are {declared}; "
             "use method ml, or leave the method open"
         )
-    chosen = readings.rows(rows)
-    linear = _linear(chosen, np.eye(len(rows)), bias=True)
-    return _finish(chosen, "mmpm", linear, _noise(readings, chosen), [])
+    linear = _linear(readings, method, angles_deg, bias=angles_deg is None or len(angles_deg) > 2)
+    warnings = [] if linear.has_bias else _blind_to_bias(readings, linear)
+    return _finish(linear, method, settle(readings).noise, warnings)
 
 
-def refit_mmpm(readings: Readings, made: Origin) -> Fit:
-    """Repeat the fit of the method `mmpm` on other readings, or on a subset of the dwells.
+def refit_turn(method: str, readings: Readings, made: Origin) -> Fit:
+    """Repeat the fit of `four-position` or `mmpm` on other readings, or on a subset of the dwells.
 
-    `made`, the earlier result, is not used.
+    Dwells at three of the four positions suffice. `method` is the name of the method; `made`, the earlier
+    result, is not used.
     """
-    chosen = readings.rows(np.flatnonzero(np.isfinite(readings.angle_rad)))
-    return _fit(readings, _linear(chosen, np.eye(len(chosen)), bias=True).beta, bias=True)
-
-
-def refit_four(readings: Readings, made: Origin) -> Fit:
-    """Repeat the fit of the method `four-position` on other readings, or on a subset of the dwells.
-
-    Dwells at three of the four positions suffice. `made`, the earlier result, is not used.
-    """
-    groups = rows_at(readings, FOUR)
-    present = tuple(angle for angle, rows in zip(FOUR, groups, strict=True) if len(rows))
-    chosen, weights = _grouped(readings, "four-position", present)
-    return _fit(readings, _linear(chosen, weights, bias=True).beta, bias=True)
+    groups = zip(FOUR, rows_at(readings, FOUR), strict=True)
+    present = tuple(angle for angle, rows in groups if len(rows)) if method == "four-position" else None
+    return _fit(readings, _linear(readings, method, present, bias=True).beta, bias=True)
 
 
 def refit_two(method: str, readings: Readings, made: Origin) -> Fit:
@@ -282,11 +266,10 @@ def refit_two(method: str, readings: Readings, made: Origin) -> Fit:
     for quarter in range(4):
         turned = replace(readings, angle_rad=readings.angle_rad - quarter * math.pi / 2)
         if all(len(rows) for rows in rows_at(turned, TWO)):
-            chosen, weights = _grouped(turned, method, TWO)
-            linear = _linear(chosen, weights, bias=False)
+            linear = _linear(turned, method, TWO, bias=False)
             if method == "paper":
                 try:
-                    linear = _by_paper(chosen, weights, linear)[0]
+                    linear = _by_paper(linear)
                 except SingularError:
                     continue
             beta = linear.beta.copy()
@@ -311,10 +294,9 @@ def fit_paper(readings: Readings) -> FitResult:
         Δφ)|: the result is then not linear in either, and no uncertainty is valid. It also fails if a
         reading in a denominator is nearly zero.
     """
-    chosen, weights = _grouped(readings, "paper", (0, 90))
-    exact = _linear(chosen, weights, bias=False)
-    noise = _noise(readings, chosen)
-    spread = _sources(replace(chosen, sensor="generic"), exact, noise).covariance
+    exact = _linear(readings, "paper", TWO, bias=False)
+    noise = settle(readings).noise
+    spread = _sources(replace(exact, data=replace(exact.data, sensor="generic")), noise).covariance
     alpha, phi = float(exact.beta[ALPHA]), float(exact.beta[DELTA_PHI])
     at = 2 * alpha + phi
     # Uncertainty of 2α + Δφ; its cosine is the distance from the pole.
@@ -335,37 +317,35 @@ def fit_paper(readings: Readings) -> FitResult:
             f" equation 12 near zero, so that noise and Δφ itself appear {times} enlarged against α = 0°;"
             " use method two-position, or start at another angle"
         )
-    linear, values = _by_paper(chosen, weights, exact)
-    warnings = _blind_to_bias(readings, chosen, linear)
-    exact_k = float(exact.beta[SCALE_X] / exact.beta[SCALE_Y]) - 1
-    off_k, off_phi = values[0] - exact_k, math.degrees(values[1] - phi)
+    linear = _by_paper(exact)
+    warnings = _blind_to_bias(readings, linear)
+    off_k = _ratio(linear.beta) - _ratio(exact.beta)
+    off_phi = math.degrees(linear.beta[DELTA_PHI] - phi)
     warnings.append(
         f"equation 5 is exact at α = 0° only: at {format_fixed(math.degrees(alpha), 2)}° this result is off"
         f" by {signed(off_k, digits=2)} in ΔK and {signed(off_phi, digits=2)}° in Δφ from method"
         " two-position on the same readings, and its uncertainty does not include this"
     )
-    return _finish(chosen, "paper", linear, noise, warnings, ("delta_k", "delta_phi", "alpha"))
+    return _finish(linear, "paper", noise, warnings, ("delta_k", "delta_phi", "alpha"))
 
 
-def _by_paper(chosen: Readings, weights: Floats, exact: _Linear) -> tuple[_Linear, Floats]:
-    """Return the fit by the method `paper`, and its ΔK and Δφ alone as an array (2,).
+def _by_paper(exact: _Linear) -> _Linear:
+    """Return the fit by the method `paper`, with ΔK and Δφ by equations 5 to 12.
 
-    ΔK and Δφ (rad) follow from equations 5 to 12. The start angle and the scale of X are those in `exact`,
-    the closed form of the dwells `chosen`. `weights` (2, n) give the mean reading at each of the two
-    angles.
+    The start angle and the scale of X are those in `exact`, the closed form of the same dwells.
 
     Raises
     ------
     SingularError
         A denominator of equation 5 or 12 vanishes.
     """
-    first, second = weights @ (chosen.mean / chosen.gravity_mg)
+    first, second = exact.weights @ (exact.data.mean / exact.data.gravity_mg)
     if min(abs(first[0]), abs(second[1])) < _LEAST_READING:
         raise SingularError(
             "method paper divides by the first reading of X and the second of Y, and one is zero here; "
             "use method two-position"
         )
-    values, derivative = _paper(first, second, weights)
+    values, derivative = _paper(first, second, exact.weights)
     beta = exact.beta.copy()
     beta[DELTA_PHI] = values[1]
     beta[SCALE_Y] = beta[SCALE_X] / (1 + values[0])
@@ -375,7 +355,12 @@ def _by_paper(chosen: Readings, weights: Floats, exact: _Linear) -> tuple[_Linea
     derivatives[SCALE_Y] = (
         exact.derivative[SCALE_X] / (1 + values[0]) - beta[SCALE_X] * derivative[0] / (1 + values[0]) ** 2
     )
-    return _Linear(beta, derivatives, has_bias=False), values
+    return replace(exact, beta=beta, derivative=derivatives)
+
+
+def _ratio(beta: Floats) -> float:
+    """Return K_x/K_y, which is 1 + ΔK, from the parameters (6,) of a linear fit."""
+    return float(beta[SCALE_X] / beta[SCALE_Y])
 
 
 def as_printed(x1: Any, y1: Any, x2: Any, y2: Any) -> tuple[Any, Any]:
@@ -427,38 +412,39 @@ def turn_parameters(harmonics: Floats) -> Floats:
     return parameters
 
 
-def _grouped(readings: Readings, method: str, angles_deg: tuple[int, ...]) -> tuple[Readings, Floats]:
-    """Select the dwells at the given angles, and return weights (angles, n) for the mean at each angle.
-
-    `method` is the name of the method in messages. Fails with `FitError` if an angle has no dwell.
-    """
-    groups = rows_at(readings, angles_deg)
-    missing = [str(a) for a, rows in zip(angles_deg, groups, strict=True) if not len(rows)]
-    if missing:
-        raise FitError(
-            f"method {method} needs dwells declared at {', '.join(map(str, angles_deg))} degrees; "
-            f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
-        )
-    if not readings.unit.known and len(angles_deg) == 2:
-        raise FitError(f"method {method} needs readings with a known zero; counts have none: use method ml")
-    rows = np.concatenate(groups)
-    weights = np.zeros((len(groups), len(rows)))
-    at = 0
-    for k, group in enumerate(groups):
-        weights[k, at : at + len(group)] = 1 / len(group)
-        at += len(group)
-    return readings.rows(rows), weights
-
-
-def _linear(chosen: Readings, weights: Floats, *, bias: bool) -> _Linear:
+def _linear(readings: Readings, method: str, angles_deg: tuple[int, ...] | None, *, bias: bool) -> _Linear:
     """Fit cosine, sine and (with `bias`) a constant to the mean readings of each axis at each angle.
 
-    `weights` (angles, n) give the mean at each angle from the n dwells in `chosen`.
+    The dwells declared at `angles_deg` are used; None uses each dwell with a declared angle. Messages name
+    the `method`.
+
+    Raises
+    ------
+    FitError
+        An angle has no dwell, or the readings are in counts, which have no known zero, at two angles.
+    SingularError
+        The angles do not determine the fit, or an axis does not follow the rotation.
     """
-    natural = chosen.mean / chosen.gravity_mg
+    if angles_deg is None:
+        groups = list(np.flatnonzero(np.isfinite(readings.angle_rad))[:, None])
+    else:
+        groups = rows_at(readings, angles_deg)
+        missing = [str(a) for a, rows in zip(angles_deg, groups, strict=True) if not len(rows)]
+        if missing:
+            raise FitError(
+                f"method {method} needs dwells declared at {', '.join(map(str, angles_deg))} degrees; "
+                f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
+            )
+        if not readings.unit.known and len(angles_deg) == 2:
+            raise FitError(
+                f"method {method} needs readings with a known zero; counts have none: use method ml"
+            )
+    chosen = readings.rows(np.concatenate(groups))
+    group = np.repeat(np.arange(len(groups)), [len(rows) for rows in groups])
+    # Mean over the dwells of each group.
+    weights = (np.arange(len(groups))[:, None] == group) / np.bincount(group)[:, None]
     # Mean declared angle of each group, as the direction of the mean unit vector.
-    turn = weights @ np.exp(1j * chosen.angle_rad)
-    theta = np.angle(turn)
+    theta = np.angle(weights @ np.exp(1j * chosen.angle_rad))
     columns = [np.cos(theta), np.sin(theta)] + ([np.ones_like(theta)] if bias else [])
     design = np.stack(columns, axis=1)
     if np.linalg.svd(design, compute_uv=False)[-1] < 1e-3:
@@ -466,7 +452,7 @@ def _linear(chosen: Readings, weights: Floats, *, bias: bool) -> _Linear:
             "the declared angles do not determine cosine, sine and zero of a turn; spread the positions "
             "over it (0°, 90°, 180°, 270°)"
         )
-    beta = turn_parameters(np.linalg.pinv(design) @ weights @ natural)
+    beta = turn_parameters(np.linalg.pinv(design) @ weights @ (chosen.mean / chosen.gravity_mg))
     if min(beta[SCALE_X], beta[SCALE_Y]) < 1e-3:
         raise SingularError("an axis does not follow the rotation; check the declared angles and the plane")
     # The parameters follow the mean readings by the pseudo-inverse of the readings' derivatives.
@@ -475,23 +461,7 @@ def _linear(chosen: Readings, weights: Floats, *, bias: bool) -> _Linear:
     by_mean = np.linalg.pinv(slopes.reshape(-1, fitted)).reshape(fitted, -1, 2)
     derivative = np.zeros((6, len(chosen), 2))
     derivative[:fitted] = np.einsum("pka,kn->pna", by_mean, weights)
-    return _Linear(beta, derivative, bias)
-
-
-def _noise(readings: Readings, chosen: Readings) -> NoiseAssumptions:
-    """Return the noise of the readings: estimated from the whole session if possible, otherwise as stated.
-
-    The estimate needs enough positions for a fit. `chosen` are the readings that the method uses.
-    """
-    try:
-        return settle(readings).noise
-    except FitError:
-        notes: tuple[str, ...] = ()
-        if not chosen.noise_known:
-            notes = ("the noise of a reading is unknown: no uncertainty can be given",)
-        elif not readings.fixture_stated:
-            notes = ("fixture_sigma_deg is not stated: declared angles were taken as exact",)
-        return NoiseAssumptions(sigma_rad=readings.fixture_rad, known=chosen.noise_known, notes=notes)
+    return _Linear(chosen, weights, beta, derivative, bias)
 
 
 def _fit(data: Readings, beta: Floats, *, bias: bool) -> Fit:
@@ -506,30 +476,28 @@ def _fit(data: Readings, beta: Floats, *, bias: bool) -> Fit:
     return replace(fit, values=values).with_terms(terms, own)
 
 
-def _sources(data: Readings, linear: _Linear, noise: NoiseAssumptions) -> Sources:
+def _sources(linear: _Linear, noise: NoiseAssumptions) -> Sources:
     """Return the sources of the uncertainty of α, the gains, Δφ and the biases in natural units.
 
     An error of a declared angle acts along the tangent of the circle of readings.
     """
+    data = linear.data
     fit = _fit(noise.applied(data), linear.beta, bias=linear.has_bias)
     held = () if linear.has_bias or not data.unit.known else (BIAS_X, BIAS_Y)
     return sources_of(data, noise, fit, linear.derivative / data.gravity_mg, held)
 
 
-def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> list[str]:
+def _blind_to_bias(readings: Readings, linear: _Linear) -> list[str]:
     """Return a warning that an unknown bias changes a result from two positions, with advice.
 
-    `linear` is the result from the two positions in `chosen`; `readings` are the whole session.
+    `linear` is the result from the two positions; `readings` are the whole session.
     """
     # A bias of 1 mg adds to all readings of an axis.
-    moved = linear.derivative.sum(axis=1) / chosen.gravity_mg
+    moved = linear.derivative.sum(axis=1) / readings.gravity_mg
     phi = np.degrees(moved[DELTA_PHI])
-    k = (
-        moved[SCALE_X] / linear.beta[SCALE_Y]
-        - moved[SCALE_Y] * linear.beta[SCALE_X] / linear.beta[SCALE_Y] ** 2
-    )
-    stated = "includes the part's figure for it" if chosen.sensor in VARIANTS else "does not include it"
-    remedy = _bias_of_four(readings, chosen)
+    k = (moved[SCALE_X] - moved[SCALE_Y] * _ratio(linear.beta)) / linear.beta[SCALE_Y]
+    stated = "includes the part's figure for it" if readings.sensor in VARIANTS else "does not include it"
+    remedy = _bias_of_four(readings)
     if remedy is None:
         remedy = (
             "methods mmpm and ml see it in this session"
@@ -542,28 +510,27 @@ def _blind_to_bias(readings: Readings, chosen: Readings, linear: _Linear) -> lis
     ]
 
 
-def _bias_of_four(readings: Readings, chosen: Readings) -> str | None:
+def _bias_of_four(readings: Readings) -> str | None:
     """Describe the bias that four positions show, and the error that it causes in a fit of two.
 
     Returns
     -------
     str or None
-        A clause with the bias and the change of delta_phi and delta_k that it makes in `chosen`; None if
-        the session does not have the four positions, or if they do not determine a bias.
+        A clause with the bias and the change of delta_phi and delta_k that it makes; None if the session
+        does not have the four positions, or if they do not determine a bias.
     """
     if not all(len(rows) for rows in rows_at(readings, FOUR)):
         return None
     try:
-        bias = _linear(*_grouped(readings, "four-position", FOUR), bias=True).beta[BIAS_X:]
-        pair, weights = _grouped(readings, "two-position", TWO)
-        with_bias = _linear(pair, weights, bias=False).beta
-        free = replace(pair, mean=pair.mean - bias * pair.gravity_mg)
-        without = _linear(free, weights, bias=False).beta
+        bias = _linear(readings, "four-position", FOUR, bias=True).beta[BIAS_X:] * readings.gravity_mg
+        free = replace(readings, mean=readings.mean - bias)
+        two = partial(_linear, method="two-position", angles_deg=TWO, bias=False)
+        with_bias, without = two(readings).beta, two(free).beta
     except SingularError:
         return None
     phi = math.degrees(wrap_radians(float(with_bias[DELTA_PHI] - without[DELTA_PHI])))
-    k = with_bias[SCALE_X] / with_bias[SCALE_Y] - without[SCALE_X] / without[SCALE_Y]
-    x, y = bias * chosen.gravity_mg
+    k = _ratio(with_bias) - _ratio(without)
+    x, y = bias
     return (
         f"method four-position finds a bias of {signed(x, 1)} mg on X and {signed(y, 1)} mg on Y in this"
         f" session, which moves {_pair(k, phi)} here: use method four-position or ml"
@@ -576,33 +543,28 @@ def _pair(delta_k: float, delta_phi_deg: float) -> str:
 
 
 def _finish(
-    chosen: Readings,
-    method: str,
     linear: _Linear,
+    method: str,
     noise: NoiseAssumptions,
     warnings: list[str],
     only: tuple[str, ...] | None = None,
 ) -> FitResult:
+    """Return the result of a closed form; with `only`, of the parameters with these names."""
+    chosen, unseen = linear.data, () if linear.has_bias else ("bias_x", "bias_y")
     outputs = [
         output
         for output in outputs_of(chosen, linear.beta * np.array([1, 1, 1, 1, *[chosen.gravity_mg] * 2]))
-        if (linear.has_bias or not output.name.startswith("bias")) and (only is None or output.name in only)
+        if output.name not in unseen and (only is None or output.name in only)
     ]
-    sources = _sources(chosen, linear, noise) if noise.known else None
     assumed = NoiseAssumptions(scale=noise.scale, sigma_rad=noise.sigma_rad).applied(chosen)
     fit = _fit(assumed, linear.beta, bias=linear.has_bias)
     dof = 2 * len(chosen) - (6 if linear.has_bias else 4)
     # Residuals of an unweighted fit are not χ² distributed; the smallest χ² of this model is.
     chi2 = fit.refit(200, 1e-12).chi2 if dof else 0.0
+    made, sources = Origin(chosen, noise, fit), _sources(linear, noise) if noise.known else None
+    warnings = [*warnings, *chosen.notes, *noise.notes]
     return result_of(
-        Origin(chosen, noise, fit),
-        outputs,
-        sources,
-        (*warnings, *chosen.notes, *noise.notes),
-        method=method,
-        chi2=chi2,
-        dof=dof,
-        undetermined=() if linear.has_bias else ("bias_x", "bias_y"),
+        made, outputs, sources, warnings, method=method, chi2=chi2, dof=dof, undetermined=unseen
     )
 
 
@@ -790,11 +752,13 @@ METHOD_TABLE = {
         lambda r: r.unit.known and has_positions(r, _two(r)),
     ),
     "four-position": Method(
-        lambda r: fit_positions(r, "four-position", FOUR), refit_four, lambda r: has_positions(r, FOUR)
+        lambda r: fit_positions(r, "four-position", FOUR),
+        partial(refit_turn, "four-position"),
+        lambda r: has_positions(r, FOUR),
     ),
     "mmpm": Method(
-        fit_mmpm,
-        refit_mmpm,
+        lambda r: fit_positions(r, "mmpm", None),
+        partial(refit_turn, "mmpm"),
         lambda r: not r.free and int(np.isfinite(r.angle_rad).sum()) >= LEAST_MMPM,
     ),
     "ml": Method(fit_ml, refit_ml, has_enough),
