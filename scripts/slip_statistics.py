@@ -184,11 +184,11 @@ def _words(values: Floats, lsb: float) -> Floats:
 def judged(session: Session, truth: Truth | None) -> Row:
     """What was said, held against the truth."""
     found = positions_of(session)
-    said = [(one.finding, one.position) for one in found.findings]
+    said = [(one.finding, one.position) for one in found]
     if truth is None:
         return {"right": not said, "said": said}
     named = sorted(said) == sorted((truth.name, k) for k in truth.positions)
-    first = next((one for one in found.findings if (truth.name, truth.positions) in _names(one)), None)
+    first = next((one for one in found if (truth.name, truth.positions) in _names(one)), None)
     off = None
     if first is not None:
         # What an error of the first position is, a slip right after it is with the opposite sign.
@@ -202,7 +202,7 @@ def judged(session: Session, truth: Truth | None) -> Row:
     angle = off is not None and abs(off) <= allowed
     return {
         "right": bool(named and angle),
-        "alike": bool(not named and len({one.position for one in found.findings}) == 1 and angle),
+        "alike": bool(not named and len({one.position for one in found}) == 1 and angle),
         "said": said,
         "off_deg": off,
         "size_deg": abs(truth.error_deg),

@@ -27,7 +27,7 @@ def session(seed: int = 2) -> Readings:
 @pytest.fixture(scope="module")
 def run() -> TraceRun:
     data = session()
-    run = TraceRun(data, 5, None)
+    run = TraceRun(data, 5, ())
     run.terms = labelled(data, *LABELS)
     run.result = run.traced()
     return run
@@ -64,7 +64,7 @@ def test_the_uncertainty_of_a_gain_is_its_scatter_over_sessions() -> None:
     gains, stated = [], []
     for seed in range(40):
         data = session(seed)
-        run = TraceRun(data, 2, None)
+        run = TraceRun(data, 2, ())
         run.terms = labelled(data, *LABELS[:2])
         run.search()
         run.nest(run.selection)

@@ -17,7 +17,7 @@ from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, Unit, from_means
 from adis_gonio.fitting.estimation.terms import Term
-from adis_gonio.fitting.slips.session_positions import Diagnosis, Named, PositionFinding
+from adis_gonio.fitting.slips.session_positions import Named, PositionFinding, sentences_of
 from adis_gonio.model.effects import Conditions
 from adis_gonio.model.measurement import MeanRate
 from adis_gonio.tracing.credible_sets import credible_sets, merge_by_function, votes
@@ -324,7 +324,7 @@ class TestPositions:
 
     def stood_deg(self, data: Readings, *findings: PositionFinding) -> np.ndarray:
         """By how much the angles of the readings are moved."""
-        stood = correct_slips(data, Diagnosis(findings))
+        stood = correct_slips(data, findings)
         assert stood.conditions is data.conditions
         return np.degrees(stood.angle_rad - data.angle_rad)
 
@@ -354,7 +354,7 @@ class TestPositions:
 
     def test_without_a_slip_that_lasts_the_readings_stay_as_they_are(self) -> None:
         data = noisy(turn(5), 27)
-        assert correct_slips(data, Diagnosis((accused(1, "mistyped", error_deg=7.0),))) is data
+        assert correct_slips(data, (accused(1, "mistyped", error_deg=7.0),)) is data
 
     @pytest.mark.parametrize(
         ("finding", "names", "gone"),
@@ -376,7 +376,7 @@ class TestPositions:
     ) -> None:
         data = replace(noisy(turn(), 27), position=np.arange(24) + 100)
         terms = labelled(data, *(f"{name}(dwell={k})" for name in self.OF_ONE_DWELL for k in range(24)))
-        left = restrict_candidates(terms, data, Diagnosis((accused(105, finding, *names),)))
+        left = restrict_candidates(terms, data, (accused(105, finding, *names),))
         assert {term.label for term in terms} - {term.label for term in left} == {
             term.label for term in terms if term.name in gone and term.dwell == 5
         }
@@ -397,7 +397,7 @@ class TestPositions:
     ) -> None:
         data = replace(noisy(turn(), 27), position=np.arange(24) + 100)
         reach = math.degrees(math.acos(1 - float(np.sqrt(data.variance_of_mean[0])) / G))
-        shown = Diagnosis((accused(105, finding, "gravity_wrong", "misset", error_deg=times * reach),))
+        shown = (accused(105, finding, "gravity_wrong", "misset", error_deg=times * reach),)
         terms = labelled(data, "bias[xy]", "position_slip(dwell=4)", "position_slip(dwell=5)")
         left = restrict_candidates(terms, data, shown)
         # ψ = α − θ: what stands further on has a negative slip.
@@ -406,12 +406,12 @@ class TestPositions:
     def test_what_is_wrong_with_a_check_dwell_is_none_of_the_candidates_business(self) -> None:
         data = noisy(turn(), 27)
         terms = labelled(data, "bias[xy]", "position_slip(dwell=5)", "outlier_dwell[xy](dwell=5)")
-        assert restrict_candidates(terms, data, Diagnosis((accused(105, "misset"),))) == terms
+        assert restrict_candidates(terms, data, (accused(105, "misset"),)) == terms
 
     def test_without_an_order_no_effect_of_one_dwell_is_there_to_be_ruled_out(self) -> None:
         data = noisy(turn(order=None), 27)
         terms = labelled(data, "bias[xy]")
-        assert restrict_candidates(terms, data, Diagnosis((accused(5, "mistyped"),))) == terms
+        assert restrict_candidates(terms, data, (accused(5, "mistyped"),)) == terms
 
     def result(self) -> TraceResult:
         figures = ErrorFigures(1.0, None, None, None)
@@ -424,7 +424,7 @@ class TestPositions:
             accused(7, "gravity_wrong"),
             accused(9, "gyro_wrong"),
         )
-        positions = Diagnosis(findings)
+        positions = findings
         told = with_positions(self.result(), noisy(turn(), 27), positions)
         assert told.position_findings == findings
         assert told.advice == (
@@ -432,22 +432,18 @@ class TestPositions:
             "repeat position 1 to 3, 7, 9",
             "measure on",
         )
-        assert told.notes[:-1] == ("a note", *positions.sentences)
+        assert told.notes[:-1] == ("a note", *sentences_of(positions))
         assert told.notes[-1].startswith("traced as the part stood: +5.00° from position 1 on")
 
     def test_where_all_can_be_put_right_no_position_is_repeated_and_the_other_way_round(self) -> None:
-        (first, _) = with_positions(
-            self.result(), noisy(turn(), 27), Diagnosis((accused(5, "mistyped"),))
-        ).advice
+        (first, _) = with_positions(self.result(), noisy(turn(), 27), (accused(5, "mistyped"),)).advice
         assert first.endswith("--angles 5=50")
-        advice = with_positions(
-            self.result(), noisy(turn(), 27), Diagnosis((accused(7, "gravity_wrong"),))
-        ).advice
+        advice = with_positions(self.result(), noisy(turn(), 27), (accused(7, "gravity_wrong"),)).advice
         assert advice == ("repeat position 7", "measure on")
 
     def test_of_a_session_without_a_wrong_position_nothing_more_is_said(self) -> None:
         result = self.result()
-        assert with_positions(result, noisy(turn(), 27), Diagnosis()) is result
+        assert with_positions(result, noisy(turn(), 27), ()) is result
 
 
 class TestFindings:

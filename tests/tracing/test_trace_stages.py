@@ -21,7 +21,6 @@ from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.estimation.readings import Readings, Unit, in_mg
 from adis_gonio.fitting.estimation.terms import Term
-from adis_gonio.fitting.slips.session_positions import Diagnosis
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing import validation
 from adis_gonio.tracing.credible_sets import CredibleSet, Names
@@ -276,7 +275,7 @@ class TestResult:
         monkeypatch.setattr(stages, "search_model", searched)
         monkeypatch.setattr(stages, "nameless_terms", lambda training: [])
         with pytest.raises(FitError, match="enough"):
-            trace_readings(data, 2, Diagnosis((accused(7, "misset"), accused(3, "gravity_wrong"))))
+            trace_readings(data, 2, (accused(7, "misset"), accused(3, "gravity_wrong")))
         dwells = {
             name: {term.dwell for term in candidates if term.name == name}
             for name in ("outlier_dwell", "position_slip")
@@ -361,7 +360,7 @@ class TestGuard:
         monkeypatch.setattr(
             validation, "refuted_functions", lambda selection, fits, errors: to_go[selection.gone]
         )
-        run = stages.TraceRun(biased(), 3, None)
+        run = stages.TraceRun(biased(), 3, ())
         run.selection = model()
         with within(Budget(left_out=list(left_out))):
             run.drop_refuted_functions()
@@ -431,9 +430,9 @@ class TestSessions:
             asked.append(name)
             return replace(result, notes=(*result.notes, name))
 
-        def positions(session: Session) -> Diagnosis:
+        def positions(session: Session) -> tuple[()]:
             asked.append("positions")
-            return Diagnosis()
+            return ()
 
         def readings(session: Session, part: str) -> Readings:
             asked.append(part)

@@ -40,13 +40,13 @@ def turned(seed: int, formula: float = 0.0, quadratic: float = 0.0, bias=(5.0, -
 
 def closed(data: Readings, *include: str) -> TraceResult:
     """The trace with these terms and no other, without the comparison with the best model."""
-    return TraceRun(data, 6, None, AskedModel(include, only=True)).traced()
+    return TraceRun(data, 6, (), AskedModel(include, only=True)).traced()
 
 
 def test_the_amplitude_of_a_planted_formula_lies_within_its_uncertainty_in_95_percent() -> None:
     seeds, truth, inside = range(60), 0.01, 0
     for seed in seeds:
-        run = TraceRun(turned(seed, formula=truth), 6, None, AskedModel((FORMULA, "bias"), only=True))
+        run = TraceRun(turned(seed, formula=truth), 6, (), AskedModel((FORMULA, "bias"), only=True))
         run.search()
         value = finding_of(run.selection, "mine").parameters["mine_x"]
         inside += abs(value.value - truth) <= value.U
@@ -141,7 +141,7 @@ def test_odds_are_those_of_all_models_of_a_small_set_of_candidates(include: tupl
             chosen = frozenset(term.label for term in model)
             heights[chosen] = by_hand(data, list(model), [math.exp(-term.cost) for term in model])
     asked = {term.label for term in forced_terms(data, include)}
-    runs = [TraceRun(data, 5, None), TraceRun(data, 5, None, AskedModel(include))]
+    runs = [TraceRun(data, 5, ()), TraceRun(data, 5, (), AskedModel(include))]
     for run in runs:
         forced = [term for term in run.terms if term.forced]
         run.terms = [*forced, *(term for term in terms if term.label not in asked or not forced)]

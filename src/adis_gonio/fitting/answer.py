@@ -43,6 +43,7 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.fit_result import MAIN, FitResult, differences_of_angle, start_angle
 from adis_gonio.fitting.methods import METHOD_TABLE, applicable_to, default_method, fit_of
+from adis_gonio.fitting.slips.session_positions import sentences_of
 from adis_gonio.fitting.uncertainty import FIXTURE, FLICKER, REPEATABILITY, BudgetRow
 
 BEYOND = 3.0
@@ -456,8 +457,7 @@ class Answer:
     @property
     def doubts(self) -> tuple[str, ...]:
         """Warnings to print first: wrong positions, and a residual larger than the measured noise."""
-        wrong = dict.fromkeys(found.sentence for found in self.result.position_findings)
-        return (*wrong, *self.result.doubts)
+        return (*sentences_of(self.result.position_findings), *self.result.doubts)
 
     @property
     def lines(self) -> list[QuantityRow]:

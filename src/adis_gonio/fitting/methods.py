@@ -44,7 +44,7 @@ from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.fitting.fit_result import FitResult, Origin, Output, outputs_of, result_of
 from adis_gonio.fitting.linked import linked_readings
-from adis_gonio.fitting.slips.session_positions import failure_message, positions_of
+from adis_gonio.fitting.slips.session_positions import failure_message, positions_of, sentences_of
 from adis_gonio.fitting.uncertainty import (
     Sources,
     by_rotation_of,
@@ -620,13 +620,13 @@ def fit(session: Session, method: str | None = None, gyros: GyroCalibration | No
     except FitError as error:
         raise type(error)(failure_message(session, error)) from error
     positions = positions_of(session)
-    notes = (*session.notes, *positions.sentences)
+    notes = (*session.notes, *sentences_of(positions))
     return replace(
         result,
         warnings=(*result.doubts, *notes, *result.warnings),
         session=readings,
         session_notes=notes,
-        position_findings=positions.findings,
+        position_findings=positions,
         overrides=session.facts.get("overrides", {}),
         provenance=provenance_of(session),
         links=links,

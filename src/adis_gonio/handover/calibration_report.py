@@ -31,7 +31,7 @@ from adis_gonio.device.sensor.settings import compensations
 from adis_gonio.fitting import FitResult
 from adis_gonio.fitting.answer import Answer, format_dof, format_share, method_tables
 from adis_gonio.fitting.estimation.readings import readings_of
-from adis_gonio.fitting.slips.session_positions import Angle, PositionFinding
+from adis_gonio.fitting.slips.session_positions import Angle, PositionFinding, sentences_of
 from adis_gonio.model.records import METADATA, Session
 from adis_gonio.page.document import Figure, KeyFigure, Role, Section, Series, Table, plot, render
 from adis_gonio.record.provenance import digest_of_file
@@ -99,7 +99,7 @@ def certificate_section(
         if tolerance is not None:
             first, *lines = state_conformity(tolerance, curves).lines
             stated = [f"{first}.", *(f"{line[:1].upper()}{line[1:]}." for line in lines)]
-    doubts = list(dict.fromkeys([*(found.sentence for found in positions), *answer.doubts]))
+    doubts = dict.fromkeys([*sentences_of(positions), *answer.doubts])
     who = ("sensor", "serial", "stage", "operator", "laboratory", "customer")
     instrument = [[name, known[name] or "not stated"] for name in who]
     conditions = [

@@ -190,7 +190,7 @@ class JointRun(TraceRun):
     """A trace of stacked readings in progress."""
 
     def __init__(self, data: Readings, max_effects: int) -> None:
-        super().__init__(data, max_effects, None)
+        super().__init__(data, max_effects, ())
         self.terms = screen(self.measured, self.terms, max_effects)
 
     def advice(self, selection: Selection) -> tuple[tuple[str, ...], tuple[NextDwell, ...]]:

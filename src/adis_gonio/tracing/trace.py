@@ -30,10 +30,10 @@ from adis_gonio.base.uncertainty import Detectable
 from adis_gonio.fitting.estimation.readings import ACCELEROMETER, Readings, known_part, readings_of_part
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
 from adis_gonio.fitting.slips.session_positions import (
-    Diagnosis,
     PositionFinding,
     failure_message,
     positions_of,
+    sentences_of,
 )
 from adis_gonio.model.effects import catalogue
 from adis_gonio.model.records import Session
@@ -132,7 +132,7 @@ def _trace(session: Session, max_effects: int, part: str, request: AskedModel) -
         return with_time_left_out(trace_series(session, max_effects), checked=True)
     from adis_gonio.tracing.within.second_pass import with_second_pass
 
-    positions = positions_of(session) if own else Diagnosis()
+    positions = positions_of(session) if own else ()
     data = correct_slips(readings_of_part(session, part), positions)
     try:
         result = trace_readings(data, max_effects, positions, request)
@@ -159,7 +159,7 @@ def with_time_left_out(result: TraceResult, *, checked: bool) -> TraceResult:
 def trace_readings(
     data: Readings,
     max_effects: int = 6,
-    positions: Diagnosis | None = None,
+    positions: Sequence[PositionFinding] = (),
     request: AskedModel = FREE,
 ) -> TraceResult:
     """Trace readings to the causes of their residual.
@@ -170,8 +170,8 @@ def trace_readings(
         Readings of all dwells.
     max_effects : int
         Largest number of terms added to the base model.
-    positions : Diagnosis, optional
-        Earlier diagnosis of the positions: effects of single dwells to exclude, sizes of large slips.
+    positions : sequence of PositionFinding
+        Wrong positions found before: effects of single dwells to exclude, sizes of large slips.
     request : AskedModel
         Terms and names that the user puts into the model or takes out of it.
     """
@@ -214,14 +214,13 @@ class TraceRun:
         self,
         data: Readings,
         max_effects: int,
-        positions: Diagnosis | None,
+        positions: Sequence[PositionFinding],
         request: AskedModel = FREE,
     ) -> None:
         self.data, self.measured, self.max_effects = data, data.training, max_effects
         refuse_too_few(self.measured)
         named, self.missing = named_terms(self.measured)
-        if positions is not None:
-            named = restrict_candidates(named, self.measured, positions)
+        named = restrict_candidates(named, self.measured, positions)
         self.terms: list[Term] = [*named, *nameless_terms(self.measured)]
         self.closed = request.only
         if request:
@@ -585,11 +584,11 @@ def refuse_too_few(data: Readings) -> None:
 _MOVED = frozenset({"mistyped", "misset", "swapped"})
 
 
-def correct_slips(data: Readings, positions: Diagnosis) -> Readings:
+def correct_slips(data: Readings, positions: Sequence[PositionFinding]) -> Readings:
     """Return readings whose declared angles are corrected for large slips that last for the later dwells.
 
     The stage's dial and its errors are unaffected by a slip, so `Conditions.angle_rad` does not change.
-    `positions` has the diagnosed slips.
+    `positions` has the slips that were found.
     """
     moved_deg = np.zeros(len(data))
     for found in _large_slips(data, positions):
@@ -597,12 +596,12 @@ def correct_slips(data: Readings, positions: Diagnosis) -> Readings:
     return replace(data, angle_rad=data.angle_rad + np.radians(moved_deg)) if moved_deg.any() else data
 
 
-def _large_slips(data: Readings, positions: Diagnosis) -> list[PositionFinding]:
+def _large_slips(data: Readings, positions: Sequence[PositionFinding]) -> list[PositionFinding]:
     """Return the slips that last for the later dwells and are too large for the linearised model.
 
     The criterion is in `_out_of_reach`.
     """
-    return [f for f in positions.findings if f.finding == "slipped" and _out_of_reach(data, f)]
+    return [f for f in positions if f.finding == "slipped" and _out_of_reach(data, f)]
 
 
 def _out_of_reach(data: Readings, found: PositionFinding) -> bool:
@@ -617,9 +616,9 @@ def _out_of_reach(data: Readings, found: PositionFinding) -> bool:
 
 
 def restrict_candidates(
-    terms: Sequence[NamedTerm], data: Readings, positions: Diagnosis
+    terms: Sequence[NamedTerm], data: Readings, positions: Sequence[PositionFinding]
 ) -> list[NamedTerm]:
-    """Return the candidates `terms` without effects of single dwells that the diagnosed positions exclude.
+    """Return the candidates `terms` without effects of single dwells that the found positions exclude.
 
     The candidates of large slips get the size of the slip as the start value of the fit.
 
@@ -633,7 +632,7 @@ def restrict_candidates(
     # Keys: whether the effect turns the sensor (a slip) or changes the reading (an outlier), and its dwell.
     excluded: set[tuple[bool, int | None]] = set()
     begins: dict[tuple[bool, int | None], float] = {}
-    for found in positions.findings:
+    for found in positions:
         if found.position not in of_position:
             continue  # a check dwell
         names = {named.name for named in found.names}
@@ -652,19 +651,21 @@ def restrict_candidates(
     ]
 
 
-def with_positions(result: TraceResult, data: Readings, positions: Diagnosis) -> TraceResult:
+def with_positions(
+    result: TraceResult, data: Readings, positions: tuple[PositionFinding, ...]
+) -> TraceResult:
     """Return the result with the findings on wrong positions, and advice to correct these first."""
-    if not positions.findings:
+    if not positions:
         return result
     corrected = [
         f"traced as the part stood: {signed(found.error_deg[0], 2)}° from position {found.position} on,"
         " whose uncertainty is not in these figures"
         for found in _large_slips(data, positions)
     ]
-    mended = [found.correction for found in positions.findings if found.correction is not None]
+    mended = [found.correction for found in positions if found.correction is not None]
     repeated = [
         f"{found.position} to {found.others[-1]}" if found.others else str(found.position)
-        for found in positions.findings
+        for found in positions
         if found.correction is None
     ]
     advice = []
@@ -675,7 +676,7 @@ def with_positions(result: TraceResult, data: Readings, positions: Diagnosis) ->
         advice.append(f"repeat position {', '.join(repeated)}")
     return replace(
         result,
-        position_findings=positions.findings,
-        notes=(*result.notes, *positions.sentences, *corrected),
+        position_findings=positions,
+        notes=(*result.notes, *sentences_of(positions), *corrected),
         advice=(*advice, *result.advice),
     )

@@ -53,7 +53,7 @@ def test_a_session_without_turns_is_judged_by_gravity_alone(mistyped):
     session, truth = mistyped
     still = replace(session, recording=None)
     assert not len(angles_of(still)[1].turn)
-    (one,) = positions_of(still).findings
+    (one,) = positions_of(still)
     assert (one.position, one.gyro_deg) == (truth.positions[0], None)
 
 
@@ -67,7 +67,7 @@ def test_a_fit_that_fails_says_which_position_is_wrong(mistyped):
 def test_a_fit_says_which_position_is_wrong_and_the_override_mends_it(mistyped):
     session, truth = mistyped
     wrong = fit(session)
-    (one,) = positions_of(session).findings
+    (one,) = positions_of(session)
     assert one.sentence in wrong.warnings
     assert wrong.as_dict()["positions"][0]["position"] == truth.positions[0]
     (k,) = truth.positions
@@ -81,7 +81,7 @@ def test_a_fit_says_which_position_is_wrong_and_the_override_mends_it(mistyped):
 def test_an_oracle_that_shares_no_code_says_the_same(mistyped):
     """Its evidence is of the readings themselves, its priors those of the sessions' maker."""
     session, truth = mistyped
-    (one,) = positions_of(session).findings
+    (one,) = positions_of(session)
     said = answer(session, LAW)
     assert (said.name, said.positions) == (one.finding, (one.position,)) == ("mistyped", truth.positions)
     assert said.error_deg == pytest.approx(truth.error_deg)
@@ -95,9 +95,9 @@ def test_a_session_file_has_its_gyros_as_witnesses(tmp_path):
     session = load_session(path)
     readings, turns = angles_of(session)
     assert turns.turn.tolist() == list(range(1, len(readings)))
-    assert not positions_of(session).findings
+    assert not positions_of(session)
     wrong = load_session(path, Overrides(angles={2: 108.0}))
-    (one,) = positions_of(wrong).findings
+    (one,) = positions_of(wrong)
     assert (one.finding, one.position, one.meant_deg) == ("mistyped", 2, 180.0)
     assert abs(one.gyro_deg[0] - 180.0) < 4 * one.gyro_deg[1]
 
@@ -162,9 +162,17 @@ def test_what_slipped_with_the_last_dwells_is_not_taken_out_once_more(tmp_path):
     session = load_session(written(tmp_path / "slipped.csv", around, stood))
     data = readings_of(session)
     said = positions_of(session)
-    assert [(one.position, one.finding, one.others) for one in said.findings] == [(22, "slipped", (23,))]
+    assert [(one.position, one.finding, one.others) for one in said] == [(22, "slipped", (23,))]
     left = restrict_candidates(named_terms(data)[0], correct_slips(data, said), said)
     assert not any(term.begins for term in left)
+
+
+def test_two_swapped_entries_are_one_doubt_about_the_answer(tmp_path):
+    declared = AROUND.copy()
+    declared[[3, 8]] = AROUND[[8, 3]]
+    result = fit(load_session(written(tmp_path / "swapped.csv", declared, AROUND)))
+    assert [one.position for one in result.position_findings] == [3, 8]
+    assert len([doubt for doubt in Answer.of(result).doubts if "swapped" in doubt]) == 1
 
 
 def test_a_slip_that_a_line_reaches_stays_in_the_readings_as_a_step_of_the_true_angle(tmp_path):

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from adis_gonio.base.errors import SessionError
 from adis_gonio.base.jsonable import HIDDEN, NAMED_BY_UNIT, JsonRecord, key
 from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF, VARIANTS, variant
+from adis_gonio.fitting.slips.session_positions import sentences_of
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import changed_registers
@@ -249,7 +250,7 @@ def _lacks(session: Session, result: FitResult) -> list[str]:
             f"chi2 is {result.chi2:.4g} for {result.dof} degrees of freedom, the model lacks"
             f" {result.extra_mg:.2g} mg a reading"
         )
-    lacks += dict.fromkeys(found.sentence for found in result.position_findings)
+    lacks += sentences_of(result.position_findings)
     rounds = session.facts.get("advised") or []
     summary = rounds[-1].get("summary") if rounds else None
     if summary and summary.get("tested") and not summary.get("adequate"):

@@ -7,7 +7,7 @@ input are the declared angles of a session, its readings, and its gyro turns.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -245,30 +245,17 @@ SETTLED_RAD = math.radians(0.5)
 square of the change is 0.004°."""
 
 
-@dataclass(frozen=True)
-class Diagnosis:
-    """Wrong positions of a session, found by comparing angles as declared, by gravity and by the gyro.
-
-    Attributes
-    ----------
-    findings : tuple of PositionFinding
-        Positions with an error, in their order.
-    """
-
-    findings: tuple[PositionFinding, ...] = ()
-
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """Sentences for the user, one for each wrong position; two swapped positions share a sentence."""
-        lines: dict[tuple[object, ...], str] = {}
-        for found in self.findings:
-            key = (found.finding, *sorted((found.position, *found.others)))
-            lines.setdefault(key, found.sentence)
-        return tuple(lines.values())
+def sentences_of(findings: Iterable[PositionFinding]) -> tuple[str, ...]:
+    """Return sentences for the user, one for each wrong position; two swapped positions share one."""
+    lines: dict[tuple[object, ...], str] = {}
+    for found in findings:
+        key = (found.finding, *sorted((found.position, *found.others)))
+        lines.setdefault(key, found.sentence)
+    return tuple(lines.values())
 
 
-def diagnose(readings: Readings, turns: Increments) -> Diagnosis:
-    """Compute the probability of every fault at every position, and report the probable faults.
+def diagnose(readings: Readings, turns: Increments) -> tuple[PositionFinding, ...]:
+    """Compute the probability of every fault at every position, and report the probable faults in order.
 
     A fault is reported if its probability is at least `CERTAIN`. The kinds of faults are listed in
     `position_model`. There are no findings with fewer than `LEAST` declared angles (one less with a gyro)
@@ -276,7 +263,7 @@ def diagnose(readings: Readings, turns: Increments) -> Diagnosis:
     """
     found = search_faults(readings, turns)
     findings = [] if found is None else _findings(readings.position.tolist(), found)
-    return Diagnosis(tuple(sorted(findings, key=lambda one: one.position)))
+    return tuple(sorted(findings, key=lambda one: one.position))
 
 
 class FaultSearch(NamedTuple):
@@ -554,8 +541,8 @@ INSTABILITY_DPS = 0.015
 simulator's default, D)."""
 
 
-def positions_of(session: Session) -> Diagnosis:
-    """Diagnose a session's positions from declared angles, gravity and gyro; the result is kept for reuse.
+def positions_of(session: Session) -> tuple[PositionFinding, ...]:
+    """Find a session's wrong positions by declared angles, gravity and gyro; the result is kept for reuse.
 
     There are no findings for sessions in space, without declared angles, or with more than `LARGEST`
     dwells.
@@ -568,9 +555,9 @@ def positions_of(session: Session) -> Diagnosis:
     return session.once(_diagnosed)
 
 
-def _diagnosed(session: Session) -> Diagnosis:
+def _diagnosed(session: Session) -> tuple[PositionFinding, ...]:
     angles = angles_of(session)
-    return Diagnosis() if angles is None else diagnose(*angles)
+    return () if angles is None else diagnose(*angles)
 
 
 def failure_message(session: Session, error: Exception) -> str:
@@ -578,7 +565,7 @@ def failure_message(session: Session, error: Exception) -> str:
 
     It begins with the file's name, if there is one.
     """
-    text = "; ".join((str(error), *positions_of(session).sentences))
+    text = "; ".join((str(error), *sentences_of(positions_of(session))))
     return f"{session.source}: {text}" if session.source else text
 
 
