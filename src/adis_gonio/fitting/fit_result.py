@@ -39,6 +39,8 @@ class FittedParameters(ParameterTable, kw_only=True):
 
     Attributes
     ----------
+    method : str
+        Name of the method.
     parameters : mapping of str to Value
         Parameters that the session determines; the others are named in `undetermined`.
     covariance : (p, p) float or None
@@ -51,12 +53,15 @@ class FittedParameters(ParameterTable, kw_only=True):
         Remarks for the user.
     undetermined : tuple of str
         Parameters, or combinations of parameters, that the session cannot determine.
+    reference_temperature_c : float or None
+        Mean temperature of the fitted dwells, at which the parameters are valid; None if unknown.
     provenance : Provenance or None
         Origin of the readings; None if no session was given.
     overrides : mapping
         Overrides of values in the session's file, old and new (`session.overrides`).
     """
 
+    method: str
     parameters: dict[str, Value]
     covariance: Floats | None
     chi2: float
@@ -64,6 +69,7 @@ class FittedParameters(ParameterTable, kw_only=True):
     positions: tuple[int, ...]
     warnings: tuple[str, ...] = ()
     undetermined: tuple[str, ...] = ()
+    reference_temperature_c: float | None = None
     provenance: Provenance | None = field(default=None, compare=False)
     overrides: dict[str, Any] = field(default_factory=dict)
 
@@ -78,6 +84,21 @@ class FittedParameters(ParameterTable, kw_only=True):
     def names(self) -> list[str]:
         """Names of the parameters, in their order."""
         return list(self.parameters)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the entries that the JSON documents of all fits have in common."""
+        known = self.covariance is not None
+        return json_object(
+            method=self.method,
+            parameters=self.parameters,
+            covariance={"names": self.names * known, "matrix": self.covariance if known else []},
+            chi2=self.chi2,
+            dof=self.dof,
+            warnings=self.warnings,
+            undetermined=self.undetermined,
+            reference_temperature_c=self.reference_temperature_c,
+            overrides=self.overrides,
+        )
 
 
 @dataclass(frozen=True)
@@ -113,10 +134,10 @@ MISFIT = (
 class FitResult(FittedParameters, kw_only=True):
     """Fitted parameters of a session, with their covariance, warnings and residuals.
 
+    The method is one of `METHODS`.
+
     Attributes
     ----------
-    method : str
-        One of `METHODS`.
     residual_mg : (n, axes) or (n, 1) float
         Reading minus model of each dwell used, in mg; in space the residual of the norm.
     angle_error_rad : (m,) float or None
@@ -131,8 +152,11 @@ class FitResult(FittedParameters, kw_only=True):
         The parameters with their derivatives, in the order of `parameters`.
     sources : Sources or None
         Sources of the uncertainty; None if the noise of a reading is unknown.
+    around : ShownAngle or None
+        Derivatives of the calibrated angle at angles around the turn; None in space, or if the session does
+        not determine a parameter that an angle needs.
     origin : Origin or None
-        Inputs of the fit; like `outputs` and `sources` not part of the JSON document or of a comparison.
+        Inputs of the fit; like the three attributes before not part of the JSON document or a comparison.
     session : Readings or None
         All readings of the session, on which methods are compared; None if the result was made from
         readings.
@@ -145,13 +169,13 @@ class FitResult(FittedParameters, kw_only=True):
         Report on turns between poses in space; None without such turns.
     """
 
-    method: str
     residual_mg: Floats
     angle_error_rad: Floats | None = None
     extra_mg: float = 0.0
     fixture_sigma_deg: float | None = None
     outputs: tuple[Output, ...] = field(default=(), compare=False)
     sources: Sources | None = field(default=None, compare=False)
+    around: ShownAngle | None = field(default=None, compare=False)
     origin: Origin | None = field(default=None, compare=False)
     session: Readings | None = field(default=None, compare=False)
     session_notes: tuple[str, ...] = ()
@@ -190,13 +214,6 @@ class FitResult(FittedParameters, kw_only=True):
         """
         return as_written(calibration_as_recorded(self))
 
-    @property
-    def reference_temperature_c(self) -> float | None:
-        """Mean temperature of the fitted dwells, at which the parameters are valid; None if unknown."""
-        if self.origin is None or self.origin.readings.conditions.temperature_c is None:
-            return None
-        return float(self.origin.readings.conditions.temperature_c.mean())
-
     @cached_property
     def comparison(self) -> MethodComparison | None:
         """Scores of all methods on the session's readings, with the recommended method.
@@ -224,21 +241,9 @@ class FitResult(FittedParameters, kw_only=True):
         slopes: dict[str, tuple[Floats, Floats | None]] = {
             one.name: (one.gradient[None], None) for one in self.outputs if one.name in MAIN
         }
-        if self._around is not None:
-            slopes["angle"] = self._around.gradient, self._around.reading
+        if self.around is not None:
+            slopes["angle"] = self.around.gradient, self.around.reading
         return {name: budget_of(self.sources, *slope) for name, slope in slopes.items()}
-
-    @cached_property
-    def _around(self) -> ShownAngle | None:
-        """Derivatives of the calibrated angle at angles around the turn.
-
-        None in space, or if the session does not determine a parameter that an angle needs.
-        """
-        if self.origin is None or not self.origin.readings.planar:
-            return None
-        shown, found = ShownAngle.around(self.origin.fit), self.origin.determination
-        sure = found is None or all(is_determined(slope, found.null) for slope in shown.gradient)
-        return shown if sure else None
 
     @cached_property
     def shown_angle(self) -> Value | None:
@@ -248,7 +253,7 @@ class FitResult(FittedParameters, kw_only=True):
         session; the `value` is NaN. There is no uncertainty if the noise is unknown, or if the session does
         not determine a parameter that an angle needs.
         """
-        shown = self._around
+        shown = self.around
         if shown is None or self.sources is None:
             return Value(math.nan, None, "deg") if self.parameters.keys() & MAIN else None
         u, dof = self.sources.uncertainty(shown.gradient, shown.reading)
@@ -262,9 +267,9 @@ class FitResult(FittedParameters, kw_only=True):
         The causes are independent, and the m angles are around the turn; noise of the reading is not
         included. None in space, if the session does not determine the angle, or if the noise is unknown.
         """
-        if self.sources is None or self._around is None:
+        if self.sources is None or self.around is None:
             return None
-        return self.sources.roots(self._around.gradient, self._around.reading)
+        return self.sources.roots(self.around.gradient, self.around.reading)
 
     @property
     def stage_influence(self) -> dict[str, Floats]:
@@ -323,32 +328,22 @@ class FitResult(FittedParameters, kw_only=True):
 
     def as_dict(self) -> dict[str, Any]:
         """Return the JSON document that `adis-gonio fit --json` prints."""
-        known = self.covariance is not None
         errors = None
         if self.angle_error_rad is not None and self.angle_error_rad.size:
             degrees = np.degrees(self.angle_error_rad)
             errors = {"rms": np.sqrt(np.mean(degrees**2)), "max": np.abs(degrees).max()}
         sigma = self.fixture_sigma_deg
         comparison = self.comparison
-        return json_object(
-            method=self.method,
+        return super().as_dict() | json_object(
             recommended=None if comparison is None else comparison.recommended,
-            parameters=self.parameters,
             angle=self.angle,
-            covariance={"names": self.names * known, "matrix": self.covariance if known else []},
             budget=self.budget,
             scores={} if comparison is None else comparison.scores,
-            chi2=self.chi2,
-            dof=self.dof,
             residual_rms_mg=self.residual_rms_mg,
             angle_error_deg=errors,
-            warnings=self.warnings,
-            undetermined=self.undetermined,
             extra_reading_u_mg=self.extra_mg,
             fixture_sigma_deg="free" if sigma is not None and math.isinf(sigma) else sigma,
-            reference_temperature_c=self.reference_temperature_c,
             positions_used=len(self.positions),
-            overrides=self.overrides,
             **listed(self.position_findings),
             **{} if self.links is None else {"links": self.links},
         )
@@ -474,6 +469,11 @@ def result_of(
     planar = fit.data.planar
     norm = np.linalg.norm(fit.gravity, axis=1)[:, None] - 1
     declared = np.isfinite(fit.data.angle_rad) & isinstance(fit.data.model, PlanarTurn)
+    temperature = fit.data.conditions.temperature_c
+    around = ShownAngle.around(fit) if planar else None
+    if around is not None and made.determination is not None:
+        null = made.determination.null
+        around = around if all(is_determined(slope, null) for slope in around.gradient) else None
     return FitResult(
         parameters=found,
         covariance=None if sources is None else variances(outputs, sources.covariance),
@@ -481,10 +481,12 @@ def result_of(
         positions=tuple(fit.data.position.tolist()),
         angle_error_rad=differences_of_angle(fit, start_angle(fit))[declared] if declared.any() else None,
         warnings=(*warnings, *stage_warnings(found, noise.sigma_rad)),
+        reference_temperature_c=None if temperature is None else float(temperature.mean()),
         extra_mg=noise.extra_mg,
         fixture_sigma_deg=math.degrees(noise.sigma_rad) if planar else None,
         outputs=tuple(outputs),
         sources=sources,
+        around=around,
         origin=made,
         **about,
     )

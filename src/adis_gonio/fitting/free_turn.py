@@ -33,7 +33,7 @@ say what to do if the turn does not meet them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -43,14 +43,13 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats, cumulative_integral, wrap_degrees
 from adis_gonio.base.errors import DataError, FitError, SingularError
 from adis_gonio.base.numbers import counted
-from adis_gonio.calibrate.calibration import independent_changes
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.answer import MethodComparison, Recommendation, Score
 from adis_gonio.fitting.estimation.readings import mg_per_unit
-from adis_gonio.fitting.fit_result import FitResult, Output, values_of
+from adis_gonio.fitting.fit_result import FitResult, Output, values_of, variances
 from adis_gonio.fitting.uncertainty import Kind, ShownAngle, Source, Sources, gradient_of_base
 from adis_gonio.model.measurement import SENSOR_SPREAD
-from adis_gonio.model.records import MG_PER_MPS2, STANDARD_GRAVITY_MPS2, Session, Sweeps
+from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Session, Sweeps
 from adis_gonio.record.provenance import provenance_of
 
 HOP_S = 0.25
@@ -226,11 +225,9 @@ class Solution:
         Common parameters, in the order of `NAMES`.
     psi_rad : (m,) float
         Angle of gravity to X at the windows' centres, unwrapped.
-    covariance : (12 + m, 12 + m) float
-        Covariance of the values and the angles.
-    parts : tuple of (share (12 + m, 12 + m), degrees of freedom)
-        Contribution of each cause to the covariance, which is their sum, and its degrees of freedom. The
-        causes are noise of the accelerometers, noise of the gyro, drift and prior knowledge.
+    sources : Sources
+        Sources of the uncertainty of the values and the angles (12 + m parameters): noise of the
+        accelerometers, noise of the gyro, drift and prior knowledge.
     variances : Variances
         Estimated noise of the accelerometers and the gyro.
     residual_mg : (m, 2) float
@@ -239,8 +236,7 @@ class Solution:
 
     values: Floats
     psi_rad: Floats
-    covariance: Floats
-    parts: tuple[tuple[Floats, float], ...]
+    sources: Sources
     variances: Variances
     residual_mg: Floats
 
@@ -526,21 +522,19 @@ def _finished(problem: LeastSquaresProblem, values: Floats, variances: Variances
     changes = covariance[keep] @ rows.T
     begin = 3 * problem.m - 1
     drifts = np.arange(begin + problem.drift_rows.start, begin + problem.drift_rows.stop)
-    causes = (
-        (np.arange(2 * problem.m), variances.accel_dof),
-        (np.arange(2 * problem.m, begin), variances.gyro_dof),
-        (drifts, variances.drift_dof),
-        (np.setdiff1d(np.arange(begin, len(rows)), drifts), math.inf),
+    priors = np.setdiff1d(np.arange(begin, len(rows)), drifts)
+    causes: tuple[tuple[str, Kind, NDArray[np.intp], float], ...] = (
+        ("noise of the accelerometers", "A", np.arange(2 * problem.m), variances.accel_dof),
+        ("noise of the gyro", "A", np.arange(2 * problem.m, begin), variances.gyro_dof),
+        ("drift of the biases", "A", drifts, variances.drift_dof),
+        ("stated before", "B", priors, math.inf),
     )
-    shares = tuple((changes[:, one] @ changes[:, one].T, dof) for one, dof in causes)
-    return Solution(
-        values[: problem.common].copy(),
-        values[-problem.m :].copy(),
-        covariance[np.ix_(keep, keep)],
-        shares,
-        variances,
-        problem.model(values)[0],
+    sources = tuple(
+        Source(name, kind, "normal", None, changes[:, one], dof=dof, estimate=k, unit="1")
+        for k, (name, kind, one, dof) in enumerate(causes)
     )
+    psi_rad, residual_mg = values[-problem.m :].copy(), problem.model(values)[0]
+    return Solution(values[: problem.common].copy(), psi_rad, Sources(sources), variances, residual_mg)
 
 
 __all__ = ["METHOD", "FreeTurnResult", "fit_free_turn"]
@@ -702,20 +696,9 @@ UNSEEN = (
 )
 """Statements on quantities that no free turn determines."""
 
-CAUSES: tuple[tuple[str, Kind], ...] = (
-    ("noise of the accelerometers", "A"),
-    ("noise of the gyro", "A"),
-    ("drift of the biases", "A"),
-    ("stated before", "B"),
-)
-"""Names and types (GUM) of the causes of the uncertainty, in the order of `Solution.parts`."""
-
 
 class FreeTurnResult(FitResult):
-    """Calibration and angle from one continuous turn without declared angles.
-
-    The sources of the uncertainty are in the order and units of the parameters.
-    """
+    """Calibration and angle from one continuous turn without declared angles."""
 
     @cached_property
     def comparison(self) -> MethodComparison:
@@ -723,22 +706,6 @@ class FreeTurnResult(FitResult):
         return MethodComparison(
             (self,), {}, {}, {METHOD: Score(None, None, None, None, 0)}, Recommendation(METHOD, WHY)
         )
-
-    @cached_property
-    def _around(self) -> ShownAngle:
-        """Derivatives of the angle from gravity to X after calibration, at angles around the turn.
-
-        The uncertainty of this angle excludes the noise of a single reading.
-        """
-        k_x, k_y = self["scale_x"].value, self["scale_y"].value
-        base = np.array([0.0, k_x, k_y, math.radians(self["delta_phi"].value)])
-        natural = gradient_of_base(base, zero=False)
-        mg = 1000.0 if self.provenance is None else MG_PER_MPS2 * self.provenance.gravity_mps2
-        found = np.zeros((len(natural), len(self.names)))
-        # From natural units to the units of the result.
-        columns = list(map(self.names.index, ("scale_x", "scale_y", "delta_phi", "bias_x", "bias_y")))
-        found[:, columns] = natural[:, 1:] * [1.0, 1.0, math.pi / 180, 1 / mg, 1 / mg]
-        return ShownAngle(found, np.zeros((len(found), 2)))
 
 
 def fit_free_turn(session: Session) -> FreeTurnResult:
@@ -780,32 +747,30 @@ def _fitted(session: Session) -> FreeTurnResult:
     require_turn(solution.psi_rad)
     notes = require_plane(series, windows, solution.psi_rad, session.gravity_mg)
     outputs = _outputs(solution, windows)
-    gradient = np.array([one.gradient for one in outputs])
-    covariance = gradient @ solution.covariance @ gradient.T
-    each = []
-    for k, ((name, kind), (share, dof)) in enumerate(zip(CAUSES, solution.parts, strict=True)):
-        moves = independent_changes(gradient @ share @ gradient.T).T
-        each.append(Source(name, kind, "normal", None, moves, dof=dof, estimate=k, unit="1"))
-    sources = Sources(tuple(each))
-    own = [replace(one, gradient=row) for one, row in zip(outputs, np.eye(len(outputs)), strict=True)]
-    parameters = values_of(own, sources)
+    sources = solution.sources
+    parameters = values_of(outputs, sources)
+    # The angle from gravity to X after calibration; its uncertainty excludes the noise of a reading.
+    natural = gradient_of_base(np.append(0.0, solution.values[:3]), zero=False)[:, 1:]
+    slopes = np.zeros((len(natural), len(outputs[0].gradient)))
+    slopes[:, :5] = natural / [1.0, 1.0, 1.0, session.gravity_mg, session.gravity_mg]
     wanted = int(session.facts.get("plan", {}).get("turns", 0))
     notes += remarks(windows, solution.psi_rad, parameters["delta_phi"].u or 0.0, wanted)
     accel = solution.residual_mg
     return FreeTurnResult(
         method=METHOD,
         parameters=parameters,
-        covariance=covariance,
+        covariance=variances(outputs, sources.covariance),
         chi2=float((accel**2 / solution.variances.accel_mg2[:, None]).sum()),
         dof=int(solution.variances.accel_dof),
         residual_mg=accel,
         positions=(0,),
         warnings=(*session.notes, *notes, *UNSEEN),
-        outputs=tuple(own),
+        outputs=tuple(outputs),
+        sources=sources,
+        around=ShownAngle(slopes, np.zeros((len(slopes), 2))),
         provenance=provenance_of(session),
         overrides=session.facts.get("overrides", {}),
         session_notes=session.notes,
-        sources=sources,
     )
 
 
@@ -842,7 +807,7 @@ def _outputs(solution: Solution, windows: Windows) -> list[Output]:
 
     Their gradients (12 + m,) are by the 12 common parameters and the m angles of the solution.
     """
-    size = len(solution.covariance)
+    size = len(NAMES) + len(solution.psi_rad)
     common = dict(zip(NAMES, np.eye(size), strict=False))
     value = dict(zip(NAMES, solution.values, strict=True))
     degrees = 180 / math.pi

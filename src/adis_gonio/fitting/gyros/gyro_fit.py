@@ -166,8 +166,6 @@ class GyroFit(FittedParameters, kw_only=True):
     inflation : mapping of str to float
         Factor on the noise variance of each gyro, by its axis, that explains its residual; 1 if the
         residual agrees with the measured noise.
-    reference_temperature_c : float or None
-        Mean temperature of the fitted dwells; None if not recorded.
     fit : Fit or None
         The fitted model on its readings.
     scores : mapping of str to mapping
@@ -175,16 +173,15 @@ class GyroFit(FittedParameters, kw_only=True):
         dwells, left out one by one: rms over all axes, largest error, and rms by axis, as in JSON.
     """
 
+    method: str = METHOD
     covariance: Floats
     residual_dps: Floats
     turns: int
     doubts: tuple[str, ...] = ()
     inflation: dict[str, float] = field(default_factory=dict)
-    reference_temperature_c: float | None = None
     scores: dict[str, dict[str, Any]] = field(default_factory=dict)
     fit: Fit | None = field(default=None, compare=False)
 
-    method = METHOD
     part = GYRO
 
     @cached_property
@@ -235,24 +232,15 @@ class GyroFit(FittedParameters, kw_only=True):
 
     def as_dict(self) -> dict[str, Any]:
         """Return the JSON document that `adis-gonio fit --sensor-part gyro --json` prints."""
-        return json_object(
-            method=self.method,
+        return super().as_dict() | json_object(
             part=self.part,
-            parameters=self.parameters,
-            covariance={"names": self.names, "matrix": self.covariance},
             scores=self.scores,
-            chi2=self.chi2,
-            dof=self.dof,
             residual_rms_dps=self.residual_rms_dps,
             angle_error_deg=None,
-            warnings=self.warnings,
-            undetermined=self.undetermined,
             noise_inflation=self.inflation,
-            reference_temperature_c=self.reference_temperature_c,
             positions_used=len(self.positions) - self.turns,
             turns_used=self.turns,
             time_base_u=TIME_BASE_U if self.turns else None,
-            overrides=self.overrides,
             **{} if self.triad is None else {"triad": self.triad},
         )
 
