@@ -49,7 +49,6 @@ LINKS = "gyro links"
 """Name of the source of uncertainty that a fit in space has in addition if it uses turns measured by the
 gyros.
 """
-SOURCES = (REPEATABILITY, FLICKER, FIXTURE, GRAVITY, QUANTIZATION, TEMPERATURE, MODEL)
 _STATISTICAL: tuple[Kind, str] = ("A", "Student")
 _STATED: tuple[Kind, str] = ("B", "normal")
 """Type and distribution of a source that is estimated from the session, and of one that is stated."""
@@ -71,8 +70,8 @@ class Source:
     Attributes
     ----------
     name : str
-        Name of the source, one of `SOURCES`: repeatability, flicker noise, fixture, gravity, quantization,
-        temperature, effects that the model lacks.
+        Name of the source: repeatability, flicker noise, fixture, gravity, quantization, temperature,
+        effects that the model lacks, links.
     kind : {"A", "B"}
         `A` if evaluated by statistics of this session, `B` if by other knowledge (GUM 3.3.4).
     distribution : str

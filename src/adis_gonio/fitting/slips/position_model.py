@@ -192,15 +192,16 @@ def common_zero(angle_rad: Floats) -> float:
 class _Local:
     """Model of the readings, linearised at each reading.
 
-    `psi_rad` (n,) is the angle of gravity that each reading shows; `along` and `across` (n, 2) convert a
-    change of the reading in mg to a change of this angle in rad and of the reading's length in units of
-    gravity. `left_mg` is the reading minus the model, `ideal_mg` the model without biases, and `base` are
-    the base parameters of the calibration.
+    `psi_rad` (n,) is the angle of gravity that each reading shows, and `tangent` (n, 2) the derivative of
+    the ideal reading by this angle in mg. `seen` (2, n, 2) converts a change of the reading in mg to a
+    change of this angle in rad, and to a change of the reading's length in units of gravity. `left_mg` is
+    the reading minus the model, `ideal_mg` the model without biases; `base` (n, 2, 5) is the derivative of
+    the readings by the calibration.
     """
 
     psi_rad: Floats
-    along: Floats
-    across: Floats
+    tangent: Floats
+    seen: Floats
     left_mg: Floats
     base: Floats
     ideal_mg: Floats
@@ -220,7 +221,7 @@ def _local(readings: Readings, calibration: Floats) -> _Local:
         [model.columns(base, psi, zero)[:, :, 1:], np.tile(np.eye(2), (len(readings), 1, 1))], axis=2
     )
     residual = readings.mean - ideal - calibration[3:]
-    return _Local(psi, tangent / square, across, residual, columns, ideal)
+    return _Local(psi, tangent, np.stack([tangent / square, across]), residual, columns, ideal)
 
 
 def calibrate_by_length(readings: Readings) -> Floats:
@@ -232,9 +233,10 @@ def calibrate_by_length(readings: Readings) -> Floats:
     calibration = NOMINAL
     for _ in range(ROUNDS if len(readings) > 1 else 1):
         near = _local(readings, calibration)
-        design = np.einsum("ni,nij->nj", near.across, near.base)
-        residual = (near.across * near.left_mg).sum(axis=1)
-        noise = np.einsum("ni,nij,nj->n", near.across, readings.covariance, near.across)
+        across = near.seen[1]
+        design = np.einsum("ni,nij->nj", across, near.base)
+        residual = (across * near.left_mg).sum(axis=1)
+        noise = np.einsum("ni,nij,nj->n", across, readings.covariance, across)
         spread = max(float(np.median(np.abs(residual))) / 0.6745, 1e-4)
         # A reading of an accelerated part is too long and has a small weight.
         weight = 1 / ((noise + 1e-4**2) * (1 + (residual / (TURNED_AWAY * spread)) ** 2))
@@ -251,25 +253,23 @@ def rows_at(readings: Readings, turns: Increments, calibration: Floats) -> Rows:
     `calibration` (5,) is the point of linearisation: K_x, K_y, Δφ in rad, b_x and b_y in mg.
     """
     near, n = _local(readings, calibration), len(readings)
-    seen_by = near.psi_rad + (near.along * near.left_mg).sum(axis=1)
+    off_rad, length = (near.seen * near.left_mg).sum(axis=2)
+    seen_by = near.psi_rad + off_rad
     declared = np.isfinite(readings.angle_rad)
     given = np.where(declared, readings.angle_rad, 0.0)
     zero = common_zero(wrap_radians(seen_by + given)[declared])
     theta = np.where(declared, given, zero - seen_by)
-    added, turned, sizes = _effect_columns(readings.conditions, theta, near)
-    reading = np.concatenate([near.base, added], axis=2)
-    by_angle = np.einsum("ni,nij->nj", near.along, reading)
-    by_length = np.einsum("ni,nij->nj", near.across, reading)
-    turn, g, still = turns.turn, len(turns.turn), np.zeros((n, turned.shape[1]))
+    columns, turned, sizes = _effect_columns(readings.conditions, theta, near)
+    by_angle, by_length = np.einsum("kni,nij->knj", near.seen, columns)
+    turn, g = turns.turn, len(turns.turn)
     # Difference of each turn: angle of its end minus angle of the dwell before.
     steps = np.zeros((g, n))
     steps[np.arange(g), turn], steps[np.arange(g), turn - 1] = 1.0, -1.0
-    calibrating = np.zeros((g, reading.shape[2]))
     design = np.block(
         [
-            [np.ones((n, 1)), by_angle, turned, np.zeros((n, 3))],
-            [np.zeros((n, 1)), by_length, still, np.zeros((n, 3))],
-            [np.zeros((g, 1)), calibrating, -steps @ turned, turns.angle_rad[:, None], turns.force_gs],
+            [np.ones((n, 1)), by_angle, np.zeros((n, 3))],
+            [np.zeros((n, 1)), by_length, np.zeros((n, 3))],
+            [np.zeros((g, 1)), -steps @ turned, turns.angle_rad[:, None], turns.force_gs],
         ]
     )
     sd = np.concatenate([[np.pi], CALIBRATION_SD, sizes, [GYRO_GAIN, GYRO_FORCE_RAD, GYRO_FORCE_RAD]])
@@ -278,18 +278,13 @@ def rows_at(readings: Readings, turns: Increments, calibration: Floats) -> Rows:
     effect = np.zeros(len(sd), dtype=np.bool_)
     effect[1 + BASE : -3] = True
     # Covariance of angle and length of each dwell, by the covariance of its reading.
-    both = np.stack([near.along, near.across], axis=1)
-    pairs = np.einsum("nai,nij,nbj->nab", both, readings.covariance, both)
-    noise = np.zeros((2 * n + g, 2 * n + g))
-    own = np.arange(n)
-    for a in range(2):
-        for b in range(2):
-            noise[own + a * n, own + b * n] = pairs[:, a, b]
-    noise[2 * n + np.arange(g), 2 * n + np.arange(g)] = turns.u_rad**2
+    pairs = np.einsum("ani,nij,bnj->abn", near.seen, readings.covariance, near.seen)
+    noise = np.pad(np.block([[np.diag(values) for values in row] for row in pairs]), (0, g))
+    noise[2 * n :, 2 * n :] = np.diag(turns.u_rad**2)
     gone = readings.conditions.time_s - readings.conditions.time_s.min()
     return Rows(
         wrap_radians(seen_by + theta),
-        (near.across * near.left_mg).sum(axis=1),
+        length,
         turns.angle_rad,
         turn,
         design,
@@ -298,9 +293,7 @@ def rows_at(readings: Readings, turns: Increments, calibration: Floats) -> Rows:
         effect,
         np.concatenate([-np.eye(n), np.zeros((n, n)), steps]),
         noise,
-        np.concatenate(
-            [near.along * readings.gravity_mg, near.across * readings.gravity_mg, np.zeros((g, 2))]
-        ),
+        np.pad(near.seen.reshape(2 * n, 2) * readings.gravity_mg, ((0, g), (0, 0))),
         gone / max(float(gone.max()), 1e-300),
         theta,
         declared,
@@ -308,34 +301,29 @@ def rows_at(readings: Readings, turns: Increments, calibration: Floats) -> Rows:
 
 
 def _effect_columns(recorded: Conditions, theta: Floats, near: _Local) -> tuple[Floats, Floats, Floats]:
-    """Return the derivatives of the readings and angles by the amplitudes of the catalogue's effects.
+    """Return the derivatives of readings and true angles by the calibration and the catalogue's effects.
 
     Effects of the base model, effects within a dwell and effects whose conditions are not recorded are left
-    out. The results are columns (n, 2, q) in mg for q effects on the readings, columns (n, r) in rad for r
-    effects on the angle ψ, and the prior standard deviation (q + r,) of each amplitude. `recorded` are the
-    conditions of the dwells, `theta` (n,) their declared angles in rad.
+    out. The results for q amplitudes of effects are the derivatives of the readings (n, 2, 5 + q) in mg,
+    the derivatives of the angle (n, 5 + q) by which the part has turned, in rad, and the prior standard
+    deviation (q,) of each amplitude. `recorded` are the conditions of the dwells, `theta` (n,) their
+    declared angles in rad.
     """
     # The declared angles, which may be wrong, are replaced by the angles of gravity.
     angle = common_zero(wrap_radians(near.psi_rad + theta)) - near.psi_rad
     before = np.concatenate([angle[:1], angle[:-1]])
     conditions = replace(recorded, angle_rad=angle, previous_angle_rad=before)
-    added: list[Floats] = []
-    turned: list[Floats] = []
-    sizes: dict[bool, list[float]] = {False: [], True: []}
+    moved, turned, sizes = [near.base], [np.zeros((len(theta), BASE))], []
     for term in typical_terms(PlanarTurn.part, 2, conditions, _LOOKED_FOR):
         if term.effect.in_base:
             continue
         columns = term.columns(near.ideal_mg, conditions)
-        for column, k in enumerate(term.amplitudes):
-            if np.isfinite(columns[..., column]).all():
-                (turned if term.enters_angle else added).append(columns[..., column])
-                sizes[term.enters_angle].append(TYPICAL * term.effect.parameters[k].typical)
-    n = len(theta)
-    return (
-        np.stack(added, axis=2) if added else np.zeros((n, 2, 0)),
-        np.stack(turned, axis=1) if turned else np.zeros((n, 0)),
-        np.array([*sizes[False], *sizes[True]]),
-    )
+        kept = np.isfinite(columns).reshape(-1, columns.shape[-1]).all(axis=0)
+        own, none = columns[..., kept], np.zeros((len(theta), int(kept.sum())))
+        moved.append(near.tangent[:, :, None] * own[:, None, :] if term.enters_angle else own)
+        turned.append(own if term.enters_angle else none)
+        sizes += [TYPICAL * term.effect.parameters[k].typical for k in np.array(term.amplitudes)[kept]]
+    return np.concatenate(moved, axis=2), np.concatenate(turned, axis=1), np.array(sizes)
 
 
 DIGITS = "0123456789"

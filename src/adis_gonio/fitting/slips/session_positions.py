@@ -610,20 +610,16 @@ def _turned(path: turn_integration.Path, rests: GyroDwells) -> tuple[float, floa
     """
     sampling = rests.sampling
     found = turn_integration.integrate(path, sampling)
-    if not isinstance(found, str):
-        angle, variance = float(found.turned_deg[2]), float(found.covariance_deg2[2, 2])
-        length, mean = found.length_s, found.force_g
-    elif turn_integration.has_gap(path) or turn_integration.moving(path, sampling).any():
+    complete = not turn_integration.has_gap(path) and not turn_integration.moving(path, sampling).any()
+    if isinstance(found, str) and complete:
+        # The part was not turned.
+        found = turn_integration.integral_over(path, sampling, 0, len(path.time_s) - 1)
+    if isinstance(found, str):
         return None
-    else:
-        length = float(path.time_s[-1] - path.time_s[0])
-        rate = path.rate_dps[:, 2] - path.zero_dps[:, 2].mean()
-        angle = float(np.trapezoid(rate, path.time_s))
-        variance = float(sampling.density_dps2[2, 2]) * length * sampling.period_s
-        mean = path.force_g.mean(axis=0)
+    length, variance = found.length_s, float(found.covariance_deg2[2, 2])
     rest = path.rest_g.mean(axis=0)
     # Error of the zero rate: noise of both dwells, and drift.
     drift_dps = float(sampling.drift_dps[2]) or INSTABILITY_DPS
     zero = length**2 * (float(rests.variance_dps2[:, 2].mean()) / 2 + drift_dps**2)
-    beyond = np.nan_to_num(length * (mean - rest))  # NaN for counts of unknown size in g
-    return angle, math.sqrt(variance + zero), float(beyond[0]), float(beyond[1])
+    beyond = np.nan_to_num(length * (found.force_g - rest))  # NaN for counts of unknown size in g
+    return float(found.turned_deg[2]), math.sqrt(variance + zero), float(beyond[0]), float(beyond[1])
