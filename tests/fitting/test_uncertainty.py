@@ -95,7 +95,8 @@ def test_the_budget_adds_up_to_u_and_its_shares_to_one(method, samples):
     assert set(result.budget) == {"delta_k", "delta_phi", "angle"}
     for name, rows in result.budget.items():
         assert [row.source for row in rows] == [
-            "repeatability", "1/f noise", "fixture", "gravity", "quantization", "temperature", "model choice"
+            "repeatability", "1/f noise", "fixture", "gravity", "quantization", "temperature",
+            "model choice",
         ]  # fmt: skip
         u = result.shown_angle.u if name == "angle" else result[name].u
         assert math.sqrt(sum(row.contribution**2 for row in rows)) == pytest.approx(u, rel=1e-9)

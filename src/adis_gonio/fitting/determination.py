@@ -100,7 +100,7 @@ class Determination:
         return bool(_null_space(fit, self.free).shape[1] <= self.null.shape[1])
 
     def refitted(self, data: Readings) -> Fit:
-        """Fit the free parameters to readings with other noise, starting from the present values."""
+        """Fit the free parameters to readings with other noise, starting from the values of this fit."""
         fit = replace(self.fit, data=data)
         return fit.refit(_ITERATIONS, _CONVERGED, _directions(fit, self.free, self.null))
 
@@ -327,25 +327,26 @@ def settle(readings: Readings) -> Settled:
     """Fit base model and biases to readings, and estimate the noise that the session does not state."""
     open_sigma = not readings.fixture_stated and readings.planar and not readings.free
     noise = NoiseAssumptions(sigma_rad=readings.fixture_rad)
-    determination = determine(readings)
-    dof = determination.dof
-    follow = _Follow(readings, determination)
+    first = determination = determine(readings)
+    dof = first.dof
 
     if not readings.noise_known:
         # All that the residual shows counts as noise of each reading, because a part can have less 1/f
         # noise than its figure. Only the errors of the stage are shared.
         alone = replace(readings, slow=readings.slow[:, :, :0])
-        noise = _unknown_readings(_Follow(alone, determination), noise, dof, open_sigma)
-        determination = follow.determination(noise)
+        noise = _unknown_readings(first, alone, noise, open_sigma)
+        determination = determine(noise.applied(readings), first.held)
         return Settled(determination, noise, determination.fit.chi2, dof)
     if open_sigma:
-        noise = _unknown_fixture(follow, noise, dof)
-        determination = follow.determination(noise)
+        noise = _unknown_fixture(first, readings, noise)
+        determination = determine(noise.applied(readings), first.held)
     chi2 = determination.fit.chi2
     if dof > 0 and chi2 > chi2_quantile(dof, _EXCESS):
         low, high = 1e-7 * readings.gravity_mg, readings.gravity_mg
         # Solve χ²(extra) = dof for the additional standard deviation.
-        extra = scale_at_dof(lambda s: follow(replace(noise, extra_mg=s)).chi2, dof, low, high)
+        extra = scale_at_dof(
+            lambda s: first.refitted(replace(noise, extra_mg=s).applied(readings)).chi2, dof, low, high
+        )
         ratio = math.sqrt(chi2 / dof)
         note = (
             f"the residual is {ratio:.3g} times what the noise of the readings explains (chi2 "
@@ -353,42 +354,29 @@ def settle(readings: Readings) -> Settled:
             f"{extra:.3g} mg of scatter on every reading and the catalogue's effects that the data allow"
         )
         noise = replace(noise, extra_mg=extra, dof=float(dof), notes=(*noise.notes, note))
-        determination = follow.determination(noise)
+        determination = determine(noise.applied(readings), first.held)
     return Settled(determination, noise, chi2, dof)
 
 
-class _Follow:
-    """Repeats a fit of one session for several assumptions on its noise.
-
-    Each fit starts from the values of the last one. Parameters that the first fit kept fixed stay fixed.
-    """
-
-    def __init__(self, readings: Readings, first: Determination) -> None:
-        self.readings = readings
-        self.first = first
-        self.last = first
-
-    def __call__(self, noise: NoiseAssumptions) -> Fit:
-        fit = self.last.refitted(noise.applied(self.readings))
-        self.last = replace(self.last, fit=fit)
-        return fit
-
-    def determination(self, noise: NoiseAssumptions) -> Determination:
-        """Return a fit with `noise` that finds again which parameters the readings determine."""
-        return determine(noise.applied(self.readings), self.first.held)
-
-
 def _unknown_readings(
-    follow: _Follow, noise: NoiseAssumptions, dof: int, open_sigma: bool
+    first: Determination, readings: Readings, noise: NoiseAssumptions, open_sigma: bool
 ) -> NoiseAssumptions:
+    """Return the noise with the standard deviation of the readings, estimated from the residual.
+
+    `first` is a fit of the readings with any noise; `open_sigma` is True if no uncertainty of the declared
+    angles is stated. Without an estimate the noise is unknown, with a note.
+    """
+    dof = first.dof
     notes = ["fixture_sigma_deg is not stated: declared angles were taken as exact"] if open_sigma else []
     why, scale = "there are too few positions to estimate it", 0.0
     if dof > 0:
         why, limits_mg = "the model fits all readings exactly", (_LEAST_SCALE, _LARGEST_SCALE)
-        scale = scale_at_dof(lambda s: follow(replace(noise, scale=s)).chi2, dof, *limits_mg)
+        scale = scale_at_dof(
+            lambda s: first.refitted(replace(noise, scale=s).applied(readings)).chi2, dof, *limits_mg
+        )
     scale_dof = float(dof)
-    if scale > _LEAST_SCALE and follow.readings.planar and 0 < noise.sigma_rad < math.inf:
-        scale, scale_dof = _estimate_scale(follow, noise, scale, scale_dof)
+    if scale > _LEAST_SCALE and readings.planar and 0 < noise.sigma_rad < math.inf:
+        scale, scale_dof = _estimate_scale(first, readings, noise, scale)
     if scale <= _LEAST_SCALE:
         notes.append(
             f"the noise of a reading is unknown and {why}: no uncertainty can be given; state reading_u_mg,"
@@ -403,19 +391,19 @@ def _unknown_readings(
 
 
 def _estimate_scale(
-    follow: _Follow, noise: NoiseAssumptions, start_mg: float, dof: float
+    first: Determination, readings: Readings, noise: NoiseAssumptions, start_mg: float
 ) -> tuple[float, float]:
     """Estimate the standard deviation in mg of the readings if that of the declared angles is stated.
 
     The scatter of the angles is part of χ², but shows little of the readings' noise, so that the
     restricted likelihood decides, and its curvature gives the degrees of freedom. `start_mg`, at which χ²
-    is `dof`, is returned with `dof` if the likelihood has no maximum within a factor of 1000. The angles
-    may scatter some hundred times more than the readings.
+    is its degrees of freedom, is returned with these if the likelihood has no maximum within a factor of
+    1000. The angles may scatter some hundred times more than the readings.
     """
     from scipy.optimize import minimize_scalar
 
     def deviance(log_scale: float) -> float:
-        return _deviance(follow, replace(noise, scale=math.exp(log_scale)))
+        return _deviance(first, readings, replace(noise, scale=math.exp(log_scale)))
 
     middle, span = math.log(start_mg), math.log(1000.0)
     found = minimize_scalar(
@@ -425,14 +413,13 @@ def _estimate_scale(
     # χ²/s² + 2 ν ln s has the second derivative 4 ν by ln s at its minimum.
     seen = (deviance(at - step) + deviance(at + step) - 2 * float(found.fun)) / (4 * step**2)
     if abs(at - middle) > span - 2 * step or seen < 0.5:  # six positions show 1 within rounding
-        return start_mg, dof
-    return math.exp(at), min(seen, dof)
+        return start_mg, float(first.dof)
+    return math.exp(at), min(seen, float(first.dof))
 
 
-def _deviance(follow: _Follow, noise: NoiseAssumptions) -> float:
+def _deviance(first: Determination, readings: Readings, noise: NoiseAssumptions) -> float:
     """Return −2 ln of the restricted likelihood of planar readings with this noise, up to a constant."""
-    fit = follow(noise)
-    free = follow.first.free
+    fit, free = first.refitted(noise.applied(readings)), first.free
     # Whitened tangent: σ² times its square is the variance of a dwell from its angle.
     along = fit.data.root @ fit.tangent
     carried, fixture = (along**2).sum(axis=(1, 2)), fit.data.fixture
@@ -445,13 +432,13 @@ def _deviance(follow: _Follow, noise: NoiseAssumptions) -> float:
     return fit.chi2 + float(own + spread + np.log(np.maximum(known, 1e-15 * known.max())).sum())
 
 
-def _unknown_fixture(follow: _Follow, noise: NoiseAssumptions, dof: int) -> NoiseAssumptions:
+def _unknown_fixture(first: Determination, readings: Readings, noise: NoiseAssumptions) -> NoiseAssumptions:
     """Estimate the standard deviation σ_f of the declared angles by restricted maximum likelihood.
 
-    `follow` fits the session again with other noise. `dof` are the degrees of freedom of the residual. With
-    fewer than 2, or if the residual shows no such deviation, the result is `noise` with a note.
+    `first` is a fit of the readings with any noise. If its residual has fewer than 2 degrees of freedom, or
+    shows no such deviation, the result is `noise` with a note.
     """
-    if dof < 2:
+    if first.dof < 2:
         note = (
             "fixture_sigma_deg is not stated and too few positions show it: declared angles were taken as "
             "exact, uncertainties leave the fixture out"
@@ -460,7 +447,7 @@ def _unknown_fixture(follow: _Follow, noise: NoiseAssumptions, dof: int) -> Nois
     from scipy.optimize import minimize_scalar
 
     def deviance(log_sigma: float) -> float:
-        return _deviance(follow, replace(noise, sigma_rad=math.exp(log_sigma)))
+        return _deviance(first, readings, replace(noise, sigma_rad=math.exp(log_sigma)))
 
     low, high = math.log(1e-6), math.log(_LARGEST_SIGMA_RAD)
     found = minimize_scalar(deviance, bounds=(low, high), method="bounded", options={"xatol": 0.02})
@@ -470,7 +457,7 @@ def _unknown_fixture(follow: _Follow, noise: NoiseAssumptions, dof: int) -> Nois
         return replace(noise, notes=(note,))
     sigma = math.exp(float(found.x))
     note = f"fixture_sigma_deg is not stated: {math.degrees(sigma):.3g}° was estimated from the residual"
-    declared = int(np.isfinite(follow.readings.angle_rad).sum())
+    declared = int(np.isfinite(readings.angle_rad).sum())
     return replace(noise, sigma_rad=sigma, sigma_dof=float(max(declared - 3, 1)), notes=(note,))
 
 
@@ -489,7 +476,7 @@ def scale_at_dof(cost: Callable[[float], float], dof: int, low: float, high: flo
     """
     from scipy.optimize import brentq
 
-    @cache  # a refit starts at the last values, so a second call could give another result
+    @cache  # brentq computes both ends again
     def gap(log_s: float) -> float:
         return math.log(max(cost(math.exp(log_s)), 1e-300) / dof)
 
