@@ -116,20 +116,12 @@ class Windows:
         time_s, period = series.time_s, series.period_s
         hop = max(HOP_S, 8 * period, series.length_s / MOST_WINDOWS)
         count = int(series.length_s / hop) - 1
-        low = np.clip(np.floor(time_s / hop).astype(np.intp), 0, None)
-        rows, columns, weights = [], [], []
-        for step in (-1, 0):
-            row = low + step
-            # Hann weights of each sample in its two windows.
-            phase = (time_s - (row + 1) * hop) / hop
-            inside = (row >= 0) & (row < count)
-            rows.append(row[inside])
-            columns.append(np.flatnonzero(inside))
-            weights.append(0.5 * (1 + np.cos(np.pi * phase[inside])))
-        matrix: Any = csr_matrix(
-            (np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))),
-            shape=(max(count, 0), len(time_s)),
-        )
+        # Hann weights (2, n) of each sample in its two windows.
+        rows = np.floor(time_s / hop).astype(np.intp) - np.array([[1], [0]])
+        weights = 0.5 * (1 + np.cos(np.pi * (time_s - (rows + 1) * hop) / hop))
+        inside = (rows >= 0) & (rows < count)
+        places: Any = rows[inside], np.nonzero(inside)[1]
+        matrix: Any = csr_matrix((weights[inside], places), shape=(max(count, 0), len(time_s)))
         # Share of each window with samples.
         filled = np.asarray(matrix.sum(axis=1)).ravel() * period / hop
         keep = filled > LEAST_FILLED

@@ -32,6 +32,7 @@ from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.uncertainty import INADEQUATE, Value
 from adis_gonio.calibrate.gyro_calibration import UNIT_OF, GyroCalibration, gyro_directions
+from adis_gonio.fitting import determination
 from adis_gonio.fitting.estimation.fit import Fit, adequacy
 from adis_gonio.fitting.estimation.readings import GYRO, Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm
@@ -439,7 +440,9 @@ class _Model:
         drifts = np.flatnonzero(~self.stated)
         mean = np.eye(len(self.names))
         mean[:3, drifts] = self.fit.columns[self.rests].mean(axis=0)[:, drifts]
-        covariance = mean @ (_covariance(self.fit, self.free) * np.outer(factor, factor)) @ mean.T
+        information = self.fit.jacobian.T @ self.fit.jacobian
+        covariance = determination.covariance(information, self.free, np.zeros((len(mean), 0)))
+        covariance = mean @ (covariance * np.outer(factor, factor)) @ mean.T
         values = mean @ self.fit.values.parameters
         names, stated, covariance = stated_parameters(self.names, values, covariance, self.stated)
         # All gains share the error of the time base.
@@ -484,17 +487,6 @@ def _gyro_of(name: str) -> str:
 def _natural(names: Sequence[str]) -> Floats:
     """Return the factor (p,) from the unit of `LIMIT` to the unit of each parameter: 180/π or 1."""
     return np.array([math.degrees(1.0) if "misalignment" in name else 1.0 for name in names])
-
-
-def _covariance(fit: Fit, free: NDArray[np.bool_]) -> Floats:
-    rows = fit.jacobian[:, free]
-    # Invert with columns of unit length, because the parameters have very different sizes.
-    size = np.linalg.norm(rows, axis=0)
-    size[size == 0] = 1.0
-    inverse = np.linalg.pinv((rows / size).T @ (rows / size), rcond=1e-14) / np.outer(size, size)
-    out = np.zeros((len(free), len(free)))
-    out[np.ix_(free, free)] = inverse
-    return out
 
 
 # -- parameters of a result -------------------------------------------------------------------------------
