@@ -163,13 +163,10 @@ class Store:
         OutputError
             The file cannot be written, such as on a full disk; the store is unchanged.
         """
-        todo = list(statements)
-        if not todo:
-            return
         try:
             with self._connection:
                 self._connection.execute("BEGIN IMMEDIATE")
-                for sql, values in todo:
+                for sql, values in statements:
                     self._connection.execute(sql, values)
         except sqlite3.OperationalError as error:
             held = f"; it holds {counted(self.sessions, 'session')}"
