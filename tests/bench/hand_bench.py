@@ -86,13 +86,13 @@ class Hand:
         elif isinstance(event, Watching) and event.state == "idle" and self._waits:
             if self.bus.now_s() > self.stage.still_at_s + 0.3:
                 self._waits = False
-                runner.confirm()
+                runner.answer("confirm")
         elif isinstance(event, GuardRaised):
             self._waits = False
             runner.answer(self._answer(event, len(self.guards)))
             self.guards.append(event)
         elif isinstance(event, ExtensionOffered):
-            runner.decline()
+            runner.answer("decline")
 
 
 @contextmanager

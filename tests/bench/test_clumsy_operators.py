@@ -71,9 +71,9 @@ def test_the_rig_sees_scans_that_an_archive_does_not_hold(tmp_path):
         for event in runner.run():
             if isinstance(event, PositionAsked):
                 bus.obey(f"turn {event.position.angle_deg}")
-                runner.confirm()
+                runner.answer("confirm")
             elif isinstance(event, ExtensionOffered):
-                runner.decline()
+                runner.answer("decline")
     last = bus.delivered[-1]
     assert lost(path, None, [last]) == []
     assert lost(path, None, [last, np.zeros_like(last)])

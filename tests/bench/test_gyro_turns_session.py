@@ -249,10 +249,10 @@ class Turner:
                 )
                 self._waits = True
             else:
-                runner.confirm()
+                runner.answer("confirm")
         elif isinstance(event, Watching) and self._waits and self.bus.inner.now_s() > self.stage.still_at_s:
             self._waits = False
-            runner.confirm()
+            runner.answer("confirm")
         elif isinstance(event, TurnProgress) and event.state == "turn" and self._asked is not None:
             asked, self._asked = self._asked, None
             by = self._turned(asked, self._times[asked.place])
@@ -398,7 +398,7 @@ def test_a_move_that_is_broken_off_while_it_is_kept_is_made_again(tmp_path):
         for event in runner.run(so_far=False):
             if isinstance(event, PositionAsked):
                 asked += 1
-                runner.confirm()
+                runner.answer("confirm")
             elif isinstance(event, Watching) and event.state == "moving" and asked == 2 and not stopped:
                 stopped = True
                 runner.pause()

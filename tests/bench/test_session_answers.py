@@ -52,9 +52,9 @@ def run(runner, answer) -> list[Event]:
     for event in runner.run(so_far=False):
         events.append(event)
         if not answer(event) and isinstance(event, PositionAsked):
-            runner.confirm()
+            runner.answer("confirm")
         if isinstance(event, ExtensionOffered):
-            runner.decline()
+            runner.answer("decline")
     return events
 
 
@@ -69,7 +69,7 @@ def test_undo_withdraws_dwell_after_dwell_and_asks_their_positions_again(sensor,
         if isinstance(event, PositionAsked) and event.place == 3 - len(undone) and len(undone) < 2:
             assert event.can_undo
             undone.append(event.place)
-            runner.undo()
+            runner.answer("undo")
             return True
         return False
 
@@ -88,7 +88,7 @@ def test_a_withdrawn_dwell_stays_withdrawn_over_a_break_and_a_simulation_goes_on
 
         def answer(event):
             if isinstance(event, PositionAsked) and event.place == 2:
-                runner.undo()
+                runner.answer("undo")
                 runner.stop()
                 return True
             return False
@@ -104,7 +104,7 @@ def test_a_withdrawn_dwell_stays_withdrawn_over_a_break_and_a_simulation_goes_on
         def undo(event):
             if isinstance(event, PositionAsked) and not undone:
                 undone.append(event.place)
-                runner.undo()
+                runner.answer("undo")
                 return True
             if isinstance(event, Withdrawn):
                 runner.stop()
@@ -128,7 +128,7 @@ def test_nothing_can_be_undone_before_the_first_dwell(sensor, path):
         if isinstance(event, PositionAsked):
             assert not event.can_undo
             with pytest.raises(UsageError, match="open question"):
-                runner.undo()
+                runner.answer("undo")
             runner.stop()
 
 
@@ -171,7 +171,7 @@ def test_a_pause_within_a_dwell_keeps_its_samples_and_asks_the_position_again(se
             runner.pause()
         if isinstance(event, Paused):
             with pytest.raises(UsageError):
-                runner.confirm()
+                runner.answer("confirm")
             threading.Timer(0.2, runner.unpause).start()
         return False
 
@@ -220,7 +220,7 @@ def test_an_operator_who_goes_away_for_an_hour_finds_the_question_still_standing
             return True
         if isinstance(event, Watching) and len(away) == 1:
             away.append(sensor.bus.sleep_s(3600.0))
-            runner.confirm()
+            runner.answer("confirm")
         return False
 
     events = run(runner, answer)

@@ -189,9 +189,9 @@ def test_a_wait_passes_before_the_dwell_and_is_told(path):
 def test_a_stop_during_a_wait_keeps_the_position_for_the_resumed_session(path):
     def answer(runner: SessionRunner, event: Event) -> None:
         if isinstance(event, PositionAsked):
-            runner.confirm()
+            runner.answer("confirm")
         elif isinstance(event, ExtensionOffered):
-            runner.accept()
+            runner.answer("accept")
         elif isinstance(event, Waiting) and event.elapsed_s > 10:
             runner.stop()
 
@@ -207,7 +207,7 @@ def test_a_stop_during_a_wait_keeps_the_position_for_the_resumed_session(path):
 def answering(offer: str, skip: frozenset[int] = frozenset()) -> Callable[[SessionRunner, Event], None]:
     def answer(runner: SessionRunner, event: Event) -> None:
         if isinstance(event, PositionAsked):
-            (runner.skip if event.place in skip else runner.confirm)()
+            runner.answer("skip" if event.place in skip else "confirm")
         elif isinstance(event, ExtensionOffered):
             getattr(runner, offer)()
 
@@ -228,7 +228,7 @@ def test_the_last_dwell_can_be_repeated_at_the_offer(path):
 
     def answer(runner: SessionRunner, event: Event) -> None:
         if isinstance(event, PositionAsked):
-            runner.confirm()
+            runner.answer("confirm")
         elif isinstance(event, ExtensionOffered):
             getattr(runner, next(answers))()
 

@@ -72,9 +72,9 @@ def path(tmp_path: Path) -> Path:
 def answer(runner: SessionRunner, event: Event, *, repeat: bool = False) -> None:
     """Go through the plan; take a faulty dwell again or keep it."""
     if isinstance(event, PositionAsked):
-        runner.confirm()
+        runner.answer("confirm")
     elif isinstance(event, ExtensionOffered):
-        runner.decline()
+        runner.answer("decline")
     elif isinstance(event, GuardRaised):
         runner.answer(Reply.RETAKE if repeat else Reply.KEEP)
 
@@ -175,7 +175,7 @@ def test_a_faulty_dwell_of_an_earlier_run_is_taken_again_by_repeat(sensor, path)
         for event in runner.run(so_far=False):
             events.append(event)
             if isinstance(event, ExtensionOffered):
-                (runner.decline if of(events, DwellDone) else runner.repeat)()
+                runner.answer("decline" if of(events, DwellDone) else "repeat")
     assert [(done.place, done.alarms) for done in of(events, DwellDone)] == [(1, 0)]
     assert read_session(path).notes == ()
 

@@ -131,7 +131,7 @@ def test_a_contradiction_is_settled_by_taking_the_first_dwell_again(sensor, path
     for event in runner.run(so_far=False):
         if isinstance(event, PositionAsked) and hand.guards and not undone:
             undone = True
-            runner.undo()
+            runner.answer("undo")
         else:
             hand.see(runner, event)
     assert [guard.place for guard in hand.guards] == [1]
@@ -220,7 +220,7 @@ def test_a_part_that_lies_flat_is_told_by_the_sign_of_z(sensor, path):
     for event in runner.run(so_far=False):
         if isinstance(event, PositionAsked):
             sensor.bus.inner.stage.orient([0.0, 0.0, -1.0])
-            runner.confirm()
+            runner.answer("confirm")
         if isinstance(event, GuardRaised):
             raised = event
             runner.stop()
@@ -251,7 +251,7 @@ def test_a_turn_about_another_axis_is_named_by_the_gyros(sensor, path):
             world.sample = about_x
         elif isinstance(event, Watching) and raised == [] and len(read_done(path)) == 1:
             if event.state == "idle" and sensor.bus.now_s() > begin_s + 3:
-                runner.confirm()
+                runner.answer("confirm")
         elif isinstance(event, GuardRaised):
             raised.append(event)
             runner.stop()
@@ -285,7 +285,7 @@ def test_a_first_dwell_at_a_wrong_place_can_be_undone_when_right_turns_look_wron
     for event in runner.run(so_far=False):
         if isinstance(event, PositionAsked) and len(hand.guards) == 3 and not undone:
             undone = True
-            runner.undo()
+            runner.answer("undo")
         else:
             hand.see(runner, event)
     assert {guard.kind for guard in hand.guards} == {"not_moved"}
@@ -309,7 +309,7 @@ def test_a_repeated_dwell_is_not_judged_by_the_one_that_it_replaces(sensor, path
         elif turned_s is not None and isinstance(event, Watching) and event.state == "idle":
             if sensor.bus.now_s() > turned_s + 0.3:
                 turned_s = math.inf
-                runner.repeat()
+                runner.answer("repeat")
             elif turned_s == math.inf:
                 hand.see(runner, event)
         else:
@@ -451,14 +451,14 @@ def test_a_pose_that_is_not_new_and_one_the_other_way_up_are_told(sensor, path):
         if isinstance(event, PositionAsked):
             times = asked[event.place] = asked.get(event.place, 0) + 1
             if event.place == 3 and times == 1:
-                runner.repeat()  # the same pose once more is not "not moved"
+                runner.answer("repeat")  # the same pose once more is not "not moved"
                 continue
             wanted = np.array(event.position.direction)
             if event.place == 4 and times == 1:
                 wanted = -wanted
             if not (event.place == 2 and times == 1):
                 sensor.bus.inner.stage.orient(wanted)
-            runner.confirm()
+            runner.answer("confirm")
         if isinstance(event, GuardRaised):
             kinds.append((event.place, event.kind))
             runner.answer("retake")

@@ -275,9 +275,9 @@ def test_a_part_that_never_rests_is_asked_for_again_where_there_is_an_operator(s
         if isinstance(event, PositionAsked):
             asked.append(event.place)
             shaking = len(asked) == 1
-            runner.confirm()
+            runner.answer("confirm")
         if isinstance(event, ExtensionOffered):
-            runner.decline()
+            runner.answer("decline")
     assert asked == [0, 0, 1]
     assert any(entry["kind"] == "stillness" for entry in read_session(path).facts["problems"])
 
@@ -303,9 +303,9 @@ def test_a_bench_that_stays_noisier_than_at_the_begin_is_measured_anew(sensor, p
         if isinstance(event, PositionAsked):
             noisy = True
             asked.append(event.place)
-            runner.confirm()
+            runner.answer("confirm")
         if isinstance(event, ExtensionOffered):
-            runner.decline()
+            runner.answer("decline")
     assert asked == [0, 0, 1]
     before, after = np.array(measured)
     assert after[1] > 1.5 * before[1]
@@ -481,7 +481,7 @@ def test_a_question_stands_until_it_is_answered_and_the_sensor_is_watched_meanwh
             watched += 1
             assert abs(np.linalg.norm(event.accel_mg) - 1000) < 60
             if watched == 5:
-                (runner.confirm if isinstance(question, PositionAsked) else runner.decline)()
+                runner.answer("confirm" if isinstance(question, PositionAsked) else "decline")
     assert watched == 5
     assert len(read_session(path).dwells) == 2
 
@@ -491,7 +491,7 @@ def test_answers_may_come_from_another_thread(sensor, path):
     asked: list[Event] = []
 
     def answer() -> None:
-        (runner.confirm if isinstance(asked[-1], PositionAsked) else runner.decline)()
+        runner.answer("confirm" if isinstance(asked[-1], PositionAsked) else "decline")
 
     for event in runner.run(so_far=False):
         if isinstance(event, PositionAsked | ExtensionOffered):
@@ -507,7 +507,7 @@ def test_skip_leaves_a_position_out_for_good(sensor, path):
     runner = SessionRunner.begin(sensor, path, plan("four-position"), SHORT)
     for event in runner.run(so_far=False):
         if isinstance(event, PositionAsked):
-            (runner.skip if event.place == 1 else runner.confirm)()
+            runner.answer("skip" if event.place == 1 else "confirm")
     assert isinstance(event, Finished)
     assert (event.done, event.skipped, event.complete) == (3, 1, True)
     session = read_session(path)
@@ -523,9 +523,9 @@ def test_repeat_does_the_last_dwell_again_and_keeps_both(sensor, path):
         if isinstance(event, PositionAsked):
             if event.place == 2 and not repeated:
                 repeated = True
-                runner.repeat()
+                runner.answer("repeat")
             else:
-                runner.confirm()
+                runner.answer("confirm")
         if isinstance(event, DwellDone):
             order.append(event.place)
     assert order == [0, 1, 1, 2, 3]
@@ -541,10 +541,10 @@ def test_repeat_is_not_offered_before_the_first_dwell(sensor, path):
         if isinstance(event, PositionAsked):
             assert not event.can_undo
             with pytest.raises(UsageError, match="open question"):
-                runner.repeat()
+                runner.answer("repeat")
             runner.stop()
     with pytest.raises(UsageError):
-        runner.confirm()
+        runner.answer("confirm")
 
 
 def test_stop_within_a_dwell_keeps_it_as_interrupted_and_the_session_resumes(sensor, path):
@@ -588,7 +588,7 @@ def test_after_two_positions_the_session_says_what_it_cannot_see_and_goes_on_to_
         for event in runner.run(so_far=False):
             if isinstance(event, ExtensionOffered):
                 offered = event
-                runner.accept()
+                runner.answer("accept")
             if isinstance(event, DwellDone):
                 places.append(event.position.angle_deg)
     assert offered is not None
@@ -768,16 +768,16 @@ def test_a_real_sensor_goes_on_with_time_that_increases(path):
         runner = SessionRunner.begin(opened, path, plan(), SHORT)
         for event in runner.run(so_far=False):
             if isinstance(event, PositionAsked):
-                (runner.confirm if event.place == 0 else runner.stop)()
+                runner.answer("confirm" if event.place == 0 else "stop")
     with Adis16354(HandBus(URL, starts_at_s=3.0, virtual_time=False)) as opened:
         opened.bus.inner.stage.move_to(90.0)
         runner = SessionRunner.resume(opened, path)
         for event in runner.run(so_far=False):
             if isinstance(event, PositionAsked):
                 assert event.place == 1
-                runner.confirm()
+                runner.answer("confirm")
             if isinstance(event, ExtensionOffered):
-                runner.decline()
+                runner.answer("decline")
     session = read_session(path)
     assert [dwell.angle_deg for dwell in session.dwells] == [0.0, 90.0]
     assert session.dwells[0].time_s[0] < 10
@@ -816,7 +816,7 @@ def test_an_operator_may_hold_the_part_in_any_pose(path):
         for event in runner.run(so_far=False):
             if isinstance(event, PositionAsked):
                 opened.bus.inner.stage.orient(rng.standard_normal(3))
-                runner.confirm()
+                runner.answer("confirm")
             if isinstance(event, GuardRaised):
                 assert event.kind == "upside_down"
                 runner.answer(event.default)

@@ -34,13 +34,18 @@ class Reply(StrEnum):
     """Answers that the operator may give to a question."""
 
     CONFIRM = "confirm"
+    """The sensor is in the requested position, or the stage may go there."""
     SKIP = "skip"
+    """The requested position is skipped."""
     REPEAT = "repeat"
+    """The last dwell is repeated; the new dwell replaces the old one, which stays in the archive."""
     UNDO = "undo"
+    """The newest dwell is withdrawn; it stays in the archive, and its position is asked for again."""
     KEEP = "keep"
     RETAKE = "retake"
     REVERSE = "reverse"
     ACCEPT = "accept"
+    """An offer, such as further positions, is accepted."""
     DECLINE = "decline"
     STOP = "stop"
 
@@ -95,30 +100,6 @@ class Operator:
             possible = ", ".join(sorted(self._allowed)) or "nothing"
             raise UsageError(f"'{answer}' does not answer the open question (possible: {possible})")
         self._answers.put(Reply(answer))
-
-    def confirm(self) -> None:
-        """Confirm that the sensor is in the requested position, or that the stage may go there."""
-        self.answer(Reply.CONFIRM)
-
-    def skip(self) -> None:
-        """Skip the position that is asked for."""
-        self.answer(Reply.SKIP)
-
-    def repeat(self) -> None:
-        """Repeat the last dwell; the new dwell replaces the old one, which stays in the archive."""
-        self.answer(Reply.REPEAT)
-
-    def undo(self) -> None:
-        """Withdraw the newest dwell; it stays in the archive, and its position is asked for again."""
-        self.answer(Reply.UNDO)
-
-    def accept(self) -> None:
-        """Accept an offer, such as further positions."""
-        self.answer(Reply.ACCEPT)
-
-    def decline(self) -> None:
-        """Decline an offer, such as further positions."""
-        self.answer(Reply.DECLINE)
 
     def stop(self) -> None:
         """End the session now; it can be resumed. An unfinished dwell is archived as interrupted."""

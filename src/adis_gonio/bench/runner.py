@@ -6,7 +6,7 @@ A front end iterates over `run()`, which yields typed events (see `events`); que
     for event in runner.run():
         if isinstance(event, PositionAsked):
             input(f"Turn the part to {event.position} and press Enter")
-            runner.confirm()
+            runner.answer("confirm")
 
 A question is open until it is answered. If the next event is taken without an answer, the runner reads the
 sensor once and yields `Watching`: a plain front end prompts and answers before it continues, a full screen

@@ -246,7 +246,7 @@ def test_a_long_question_at_a_fast_sensor_is_archived_whole(monkeypatch, tmp_pat
         for event in runner.run(so_far=False):
             shown += isinstance(event, Watching) and event.state == "idle"
             if shown == 30 and isinstance(event, Watching):
-                runner.confirm()
+                runner.answer("confirm")
                 shown += 1
             if isinstance(event, GuardRaised):
                 runner.stop()

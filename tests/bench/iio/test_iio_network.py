@@ -37,9 +37,9 @@ def run(runner, server, *, stop_after=None):
     for last in runner.run(so_far=False):
         if isinstance(last, PositionAsked):
             server.sensor.bus.stage.move_to(last.position.angle_deg, 1)
-            runner.confirm()
+            runner.answer("confirm")
         elif isinstance(last, ExtensionOffered):
-            runner.decline()
+            runner.answer("decline")
         elif isinstance(last, DwellDone):
             done += 1
             if done == stop_after:

@@ -216,9 +216,9 @@ def run(sensor: Adis16354, path: Path, resume: bool = False) -> list:
     for event in made.run(so_far=False):
         events.append(event)
         if type(event).__name__ == "PositionAsked":
-            made.confirm()
+            made.answer("confirm")
         elif type(event).__name__ == "ExtensionOffered":
-            made.decline()
+            made.answer("decline")
         elif type(event).__name__ == "GuardRaised":  # nothing turns this board's part
             made.answer("keep")
     return events
@@ -256,7 +256,7 @@ def test_a_session_may_be_resumed_where_the_wire_has_come_off(monkeypatch, tmp_p
         runner = SessionRunner.begin(sensor, path, plan(), SHORT)
         for event in runner.run(so_far=False):
             if type(event).__name__ == "PositionAsked":
-                (runner.confirm if event.place == 0 else runner.stop)()
+                runner.answer("confirm" if event.place == 0 else "stop")
     with Adis16354(Board(monkeypatch, wired=False).bus) as sensor:
         assert run(sensor, path, resume=True)[-1].complete
 
