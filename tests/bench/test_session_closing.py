@@ -209,7 +209,7 @@ def answering(offer: str, skip: frozenset[int] = frozenset()) -> Callable[[Sessi
         if isinstance(event, PositionAsked):
             runner.answer("skip" if event.place in skip else "confirm")
         elif isinstance(event, ExtensionOffered):
-            getattr(runner, offer)()
+            runner.answer(offer)
 
     return answer
 
@@ -230,7 +230,7 @@ def test_the_last_dwell_can_be_repeated_at_the_offer(path):
         if isinstance(event, PositionAsked):
             runner.answer("confirm")
         elif isinstance(event, ExtensionOffered):
-            getattr(runner, next(answers))()
+            runner.answer(next(answers))
 
     advisor = Scripted((Position(45.0),), (Position(30.0),))
     run(path, advisor, answer=answer)

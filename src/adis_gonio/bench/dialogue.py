@@ -12,8 +12,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
-from adis_gonio.bench.events import Event, GuardRaised, Noted, Paused, Unpaused, Waiting
-from adis_gonio.bench.guards import Guard
+from adis_gonio.bench.events import Event, Guard, GuardRaised, Noted, Paused, Unpaused, Waiting
 from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.bench.session_state import Knowledge, Ledger
 from adis_gonio.record.archive_tables import JsonDict, utc_now
@@ -242,10 +241,7 @@ class Questions:
 
         `place` is the index of the position in the plan.
         """
-        position = self.ledger.plan.positions[place]
-        raised = GuardRaised(
-            guard.kind, guard.message, place, position, guard.values, guard.answers, guard.default
-        )
+        raised = GuardRaised(**vars(guard), place=place, position=self.ledger.plan.positions[place])
         allowed = {Reply(name) for name in guard.answers}
         answer = yield from self.ask(raised, allowed, Reply(guard.default), place)
         asked = {"place": place, "kind": guard.kind, "message": guard.message, "answer": answer}

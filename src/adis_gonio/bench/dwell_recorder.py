@@ -19,12 +19,13 @@ from adis_gonio.bench.events import (
     DwellInterrupted,
     DwellProgress,
     Event,
+    Guard,
     Problem,
     StageMoved,
     Watching,
     WatchState,
 )
-from adis_gonio.bench.guards import Guard, drift_guard, judge_dwell, judge_shift
+from adis_gonio.bench.guards import drift_guard, judge_dwell, judge_shift
 from adis_gonio.bench.recorder import BROKEN_STREAM, Recorder
 from adis_gonio.bench.session_state import vector
 from adis_gonio.device.sensor.registers import SUPPLY_LIMITS_V

@@ -5,7 +5,7 @@ A `place` is the index of a position in the plan, from 0; accelerations are in m
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal, dataclass_transform
 
 from adis_gonio.record.plans import Plan, Position
@@ -243,7 +243,39 @@ class Problem(Event):
     place: int
 
 
-class GuardRaised(Event):
+RETAKE: tuple[str, ...] = ("retake", "keep", "skip")
+
+
+@dataclass(frozen=True)
+class Guard:
+    """A question to the operator about a position or a dwell that seems wrong.
+
+    Attributes
+    ----------
+    kind, message : GuardKind, str
+        Kind of the probable error, and the question.
+    values : dict of str to float
+        Numbers in the message; names end in their unit.
+    answers, default : tuple of str, str
+        Names of the allowed answers, and the safe one among them.
+    spoils : bool
+        True if a result with this dwell, unchanged, would be wrong.
+    """
+
+    kind: GuardKind
+    message: str
+    values: dict[str, float] = field(default_factory=dict)
+    answers: tuple[str, ...] = RETAKE
+    default: str = "retake"
+    spoils: bool = False
+
+    @property
+    def contradicts(self) -> bool:
+        """True if either the position of the sensor or an earlier dwell must be wrong."""
+        return self.kind in ("not_moved", "reversed", "wrong_axis", "wrong_angle")
+
+
+class GuardRaised(Guard, Event):
     """A guard has found a probable error. Answers: one of `answers`, or stop.
 
     `retake` asks for the position again, `keep` continues without a change, so that the result will mention
@@ -251,25 +283,12 @@ class GuardRaised(Event):
 
     Attributes
     ----------
-    kind, message : GuardKind, str
-        Kind of the probable error, and the question.
     place, position : int, Position
         Index of the position in the plan, from 0, and the position.
-    values : dict of str to float
-        Numbers in the message, by names that end in their unit.
-    answers : tuple of str
-        Names of the allowed answers, for `runner.answer(name)`.
-    default : str
-        The safe answer, which is used without an operator.
     """
 
-    kind: GuardKind
-    message: str
-    place: int
-    position: Position
-    values: dict[str, float]
-    answers: tuple[str, ...]
-    default: str
+    place: int = field(kw_only=True)
+    position: Position = field(kw_only=True)
 
 
 class TurnMeasured(Event):

@@ -9,23 +9,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats, wrap_degrees
 from adis_gonio.base.numbers import format_uncertain, signed
 from adis_gonio.base.uncertainty import NORMAL_95
-from adis_gonio.bench.events import GuardKind, TurnMeasured, Vector
+from adis_gonio.bench.events import RETAKE, Guard, GuardKind, Problem, TurnMeasured, Vector
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.record.blocks import Block, gyro_rates, session_columns
 from adis_gonio.record.plans import GAIN_LIMIT, Expectation, K, Position, PriorKnowledge, turned_deg
 from adis_gonio.record.stillness import SHIFT_MG
-
-if TYPE_CHECKING:
-    from adis_gonio.bench.events import Problem
-
 
 _STEPS: tuple[tuple[Literal["temperature", "supply"], str, str, float], ...] = (
     ("temperature", "temp_c", "°C", 1.0),
@@ -36,37 +32,6 @@ _STEPS: tuple[tuple[Literal["temperature", "supply"], str, str, float], ...] = (
 The change of the temperature is ten times the fastest self-heating by the data sheet (5 °C in one minute),
 the change of the supply a tenth of the specified range.
 """
-
-RETAKE: tuple[str, ...] = ("retake", "keep", "skip")
-
-
-@dataclass(frozen=True)
-class Guard:
-    """A question to the operator about a position or a dwell that seems wrong.
-
-    Attributes
-    ----------
-    kind, message : GuardKind, str
-        Kind of the probable error, and the question.
-    values : dict of str to float
-        Numbers in the message; names end in their unit.
-    answers, default : tuple of str, str
-        Names of the allowed answers, and the safe one among them.
-    spoils : bool
-        True if a result with this dwell, unchanged, would be wrong.
-    """
-
-    kind: GuardKind
-    message: str
-    values: dict[str, float] = field(default_factory=dict)
-    answers: tuple[str, ...] = RETAKE
-    default: str = "retake"
-    spoils: bool = False
-
-    @property
-    def contradicts(self) -> bool:
-        """True if either the position of the sensor or an earlier dwell must be wrong."""
-        return self.kind in ("not_moved", "reversed", "wrong_axis", "wrong_angle")
 
 
 def _other_axis(turn: GyroIntegral) -> str | None:
@@ -228,31 +193,19 @@ class Turning:
     ----------
     longest_gap_s : float
         Longest time without samples in s; after a longer gap the turn is unknown.
+    dwell : Block or None
+        Scans of the dwell from whose end the turn is integrated; their mean rate is the zero rate of the
+        gyros in this turn. With None the turn is unknown.
     """
 
-    def __init__(self, longest_gap_s: float) -> None:
+    def __init__(self, longest_gap_s: float, dwell: Block | None = None) -> None:
         self._longest_gap_s = longest_gap_s
-        self._bias: Floats | None = None
-        self._last_s = 0.0
-        self._last = np.zeros(3)
-        self._angle = np.zeros(3)
-        self._travel = 0.0
-        self._length_s = 0.0
-        self._period_s = 0.0
+        rates = None if dwell is None else gyro_rates(dwell)
+        self._bias = None if rates is None else rates.mean(axis=0)
+        self._last_s = 0.0 if dwell is None else float(dwell.time_s[-1])
+        self._last, self._angle = np.zeros(3), np.zeros(3)
+        self._travel = self._length_s = self._period_s = 0.0
         self._broken = False
-
-    def rest(self, dwell: Block) -> None:
-        """Take note of the end of a dwell, from which the next turn is integrated.
-
-        The mean rate of the dwell is the zero rate of the gyros in this turn.
-        """
-        rates = gyro_rates(dwell)
-        self._broken = rates is None or not len(dwell)
-        if rates is None or self._broken:
-            return
-        self._bias = rates.mean(axis=0)
-        self._last_s, self._last = float(dwell.time_s[-1]), np.zeros(3)
-        self._angle, self._travel, self._length_s = np.zeros(3), 0.0, 0.0
 
     def see(self, block: Block) -> None:
         """Integrate the rates of the next samples; samples of the ended dwell are skipped."""
@@ -322,6 +275,7 @@ class Judge:
         self._planar = planar
         self.sense = sense
         self._taken: list[_JudgedDwell] = []
+        self._longest_gap_s = longest_gap_s
         self.turning = Turning(longest_gap_s)
         self._rebuild()
 
@@ -444,7 +398,7 @@ class Judge:
         mean = np.asarray(scans.accel_mg.mean(axis=0))
         self._taken.append(_JudgedDwell(place, position, mean, doubted))
         self._learn(self._taken[-1])
-        self.turning.rest(scans)
+        self.turning = Turning(self._longest_gap_s, scans)
 
     def withdraw(self, place: int) -> None:
         """Forget the dwell of a place (index in the plan).

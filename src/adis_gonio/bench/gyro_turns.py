@@ -20,8 +20,8 @@ from adis_gonio.base.errors import SessionError, UsageError
 from adis_gonio.base.numbers import signed
 from adis_gonio.bench.dialogue import Reply
 from adis_gonio.bench.dwell_recorder import DwellRecorder
-from adis_gonio.bench.events import DwellInterrupted, Event, GuardKind, Problem
-from adis_gonio.bench.guards import Guard, angle_between_deg
+from adis_gonio.bench.events import DwellInterrupted, Event, Guard, GuardKind, Problem
+from adis_gonio.bench.guards import angle_between_deg
 from adis_gonio.bench.guidance import turn_sense
 from adis_gonio.bench.recorder import FollowedTurn
 from adis_gonio.bench.session_bench import SessionBench

@@ -64,7 +64,7 @@ DWELL = events.DwellProgress(
 
 
 def guard(kind: str, message: str, values: dict[str, float], answers: tuple[str, ...], default: str):
-    return events.GuardRaised(kind, message, 1, PLAN.positions[1], values, answers, default)
+    return events.GuardRaised(kind, message, values, answers, default, place=1, position=PLAN.positions[1])
 
 
 REVERSED = guard(

@@ -144,7 +144,7 @@ def test_a_guard_of_a_turn_is_answered_in_its_own_words():
     turn = gyro_turns_plan(5).positions[1]
     message = "turned −1800°, clockwise; counter-clockwise was requested"
     answers = ("retake", "keep", "skip")
-    raised = events.GuardRaised("reversed", message, 1, turn, {}, answers, "retake")
+    raised = events.GuardRaised("reversed", message, {}, answers, place=1, position=turn)
     known = bench_words.answers_to(raised)
     assert list(known) == [*answers, "stop"]
     assert known["retake"].meaning == "go back to the mark and turn again"
