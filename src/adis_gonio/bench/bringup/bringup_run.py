@@ -25,6 +25,7 @@ from adis_gonio.bench.bringup.bringup_step import (
     BringupBus,
     BringupStep,
     Measured,
+    NotMeasuredError,
     Outcome,
     SideEffect,
     StepResult,
@@ -147,7 +148,7 @@ class _Run:
                     result = self._one(self.bench, step)
                 elif failure:
                     result = step.new_result("the link does not work")
-                    result = result if found.rows else step.new_result().fault(failure)
+                    result = result if found.rows else step.new_result(failure, Verdict.FAULT)
             with self._until_stopped():
                 found.rows.append(result)
                 default = Answer(Outcome.NOT_MEASURED, result.text)
@@ -174,14 +175,16 @@ class _Run:
             return step.new_result(refusal)
         if step.effect in (SideEffect.WRITES, SideEffect.FLASH) and not self.permission.ask(step.question):
             return step.new_result("the answer to its question was no")
-        changes, found = step.effect is not SideEffect.READS, self.found
+        changes, found, result = step.effect is not SideEffect.READS, self.found, step.new_result()
         try:
             if changes and found.undo is None:
                 found.undo = Undo(bench.sensor, registers(HOLDING_SETTINGS))
             bench.bus.calls.clear()
-            return step.run(bench, step.new_result())
+            result.verdict, result.text = step.run(bench, result)
+        except NotMeasuredError as reason:
+            result.text = str(reason)
         except AdisGonioError as error:
-            return step.new_result().fault(f"could not be done: {error}")
+            return step.new_result(f"could not be done: {error}", Verdict.FAULT)
         finally:
             if changes and found.undo is not None:
                 try:
@@ -189,6 +192,7 @@ class _Run:
                 finally:
                     if found.undo.unrestored:
                         bench.blocked = f"{', '.join(found.undo.unrestored)} could not be put back"
+        return result
 
     def _refusal(self, step: BringupStep) -> str:
         if step.effect is SideEffect.WRITES and not self.permission.writes:

@@ -224,58 +224,45 @@ class StepResult(JsonRecord, frozen=False):
         unit: str = "1",
         u: float | None = None,
         expected: float | None = None,
-    ) -> Measured:
-        """Add a measured figure with this name and value to the result, and return it.
+    ) -> None:
+        """Add a measured figure with this name and value to the result.
 
         `unit` is "1" for a number without unit. `u` is the standard uncertainty (None for a count or a
         setting), `expected` the value by the table (None if there is none).
         """
-        figure = Measured(name, value, unit, u, expected)
-        self.figures.append(figure)
-        return figure
-
-    def answer(self, question: str, outcome: Outcome, text: str, *figures: Measured) -> None:
-        """Record the answer to the open question named `question`.
-
-        `text` is the answer in one sentence, `figures` are the figures on which it is based.
-        """
-        self.answers[question] = Answer(outcome, text, figures)
+        self.figures.append(Measured(name, value, unit, u, expected))
 
     def check(self, question: str, holds: object, text: str, *figures: Measured) -> None:
-        """Record an answer that confirms the table if `holds` is true, and contradicts the table otherwise.
+        """Record an answer to the open question named `question`.
 
-        The other arguments are as in `answer`.
+        The answer confirms the table if `holds` is true, and contradicts the table otherwise. `text` is the
+        answer in one sentence, `figures` are the figures on which it is based.
         """
-        self.answer(question, Outcome.CONFIRMS if holds else Outcome.CONTRADICTS, text, *figures)
+        self.answers[question] = Answer(Outcome.CONFIRMS if holds else Outcome.CONTRADICTS, text, figures)
 
-    def ok(self, text: str) -> StepResult:
-        """End the step without a fault; `text` is its result in one sentence. Returns the result."""
-        return self._end(Verdict.OK, text)
+    def by_answers(self) -> Ending:
+        """Return the ending of the step by its answers: a contradiction of the table is a difference.
 
-    def fault(self, text: str) -> StepResult:
-        """End the step with a fault of the board, described by `text`. Returns the result."""
-        return self._end(Verdict.FAULT, text)
-
-    def differs(self, text: str) -> StepResult:
-        """End the step with a contradiction of the table, described by `text`. Returns the result."""
-        return self._end(Verdict.DIFFERS, text)
-
-    def not_measured(self, why: str) -> StepResult:
-        """End a step that could not measure; `why` is the reason. Returns the result."""
-        return self._end(Verdict.NOT_MEASURED, why)
-
-    def by_answers(self) -> StepResult:
-        """End the step by its answers: a contradiction of the table is a difference. Returns the result."""
+        Raises
+        ------
+        NotMeasuredError
+            No answer was measured.
+        """
         wrong = [one.text for one in self.answers.values() if one.outcome is Outcome.CONTRADICTS]
         known = [one.text for one in self.answers.values() if one.outcome is not Outcome.NOT_MEASURED]
         if wrong:
-            return self.differs("; ".join(wrong))
-        texts = "; ".join(known or [one.text for one in self.answers.values()])
-        return self.ok(texts) if known else self.not_measured(texts)
+            return Verdict.DIFFERS, "; ".join(wrong)
+        if not known:
+            raise NotMeasuredError("; ".join(one.text for one in self.answers.values()))
+        return Verdict.OK, "; ".join(known)
 
-    def _end(self, verdict: Verdict, text: str) -> StepResult:
-        self.verdict, self.text = verdict, text
-        return self
+
+Ending = tuple[Verdict, str]
+"""End of a bring-up step: kind of its result, and the result in one sentence."""
+
+
+class NotMeasuredError(Exception):
+    """A bring-up step, or a part of it, could not measure; the text is the reason."""
 
 
 @dataclass
@@ -451,9 +438,10 @@ class BringupStep:
     name : str
         Name of the step.
     run : callable
-        Runs the step, fills the given result and returns it; the `BringupBench` has the sensor and earlier
-        findings. The first line of its docstring describes the step in the report. Raises
-        `AdisGonioError` if the sensor or the bridge fails.
+        Runs the step, adds figures and answers to the given result, and returns the end of the step; the
+        `BringupBench` has the sensor and earlier findings. The first line of its docstring describes the
+        step in the report. Raises `AdisGonioError` if the sensor or the bridge fails, and
+        `NotMeasuredError` if the step cannot measure.
     effect : SideEffect
         Kind of change that the step makes to the sensor.
     question : str
@@ -463,15 +451,15 @@ class BringupStep:
     """
 
     name: str
-    run: Callable[[BringupBench, StepResult], StepResult]
+    run: Callable[[BringupBench, StepResult], Ending]
     effect: SideEffect = SideEffect.READS
     question: str = ""
     settles: tuple[str, ...] = ()
 
-    def new_result(self, why: str = "") -> StepResult:
-        """Return the result of the step before it runs; `why` is the reason if it does not run."""
+    def new_result(self, text: str = "", verdict: Verdict = Verdict.NOT_MEASURED) -> StepResult:
+        """Return the result of the step before it runs; `text` is the reason if it does not run."""
         does = str(self.run.__doc__).partition("\n")[0].removesuffix(".")
-        return StepResult(self.name, does, self.effect, text=why)
+        return StepResult(self.name, does, self.effect, verdict, text)
 
 
 @dataclass
@@ -526,12 +514,17 @@ class BringupBench:
         timed = self.bus.unbroken_frames is not None
         return replies[1:], self.bus.timing.frame_s if timed else took_s
 
-    def scans(self, count: int, names: Sequence[str]) -> tuple[ScanBlock, bool]:
-        """Read at most `count` scans of the registers `names`; return them, and True if they have no gap.
+    def scans(self, count: int, names: Sequence[str], *, gaps: bool = True) -> ScanBlock:
+        """Read at most `count` scans of the registers `names`.
 
         Reading ends after `LONGEST_S`. The bridge streams if data-ready works, else it polls. If there are
         gaps, the longest run without a gap is returned if it has at least half of `count` scans. Otherwise
-        all scans are returned, with False.
+        all scans are returned.
+
+        Raises
+        ------
+        NotMeasuredError
+            `gaps` is False, and no such run was found.
         """
         blocks: list[ScanBlock] = []
         have, begin_s = 0, self.bus.now_s()
@@ -549,15 +542,16 @@ class BringupBench:
         scans = join(blocks)
         begin, end = longest_run(scans.time_s, period_s * self.clock)
         if end - begin < count // 2:
-            return scans.first(count), False
+            if not gaps:
+                raise NotMeasuredError("the scans have gaps on this bridge, so that they have no spectrum")
+            return scans.first(count)
         cut = slice(begin, min(end, begin + count))
         words, times = scans.words[cut], scans.time_s[cut]
-        return replace(scans, words=words, time_s=times, lost=0, missed=None), True
+        return replace(scans, words=words, time_s=times, lost=0, missed=None)
 
     def means(self, count: int, names: Sequence[str]) -> Floats:
         """Return the means (k,) in LSB of the k output registers `names` over `count` scans."""
-        block, _ = self.scans(count, names)
-        return np.asarray(block.numbers().mean(axis=0), np.float64)
+        return np.asarray(self.scans(count, names).numbers().mean(axis=0), np.float64)
 
     def sample_quickly(self) -> None:
         """Set the fastest sample rate, for steps that may write registers."""

@@ -8,7 +8,14 @@ from collections.abc import Callable
 import numpy as np
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.bench.bringup.bringup_step import BOARD_CLOCK_U, BringupBench, StepResult, Z
+from adis_gonio.bench.bringup.bringup_step import (
+    BOARD_CLOCK_U,
+    BringupBench,
+    Ending,
+    StepResult,
+    Verdict,
+    Z,
+)
 from adis_gonio.device.bus import SpiTiming, Words
 from adis_gonio.device.sensor.driver import PLAUSIBLE
 from adis_gonio.device.sensor.registers import (
@@ -76,7 +83,7 @@ _READINGS: tuple[tuple[str, Callable[[int], int]], ...] = (
 )
 
 
-def check_link(bench: BringupBench, found: StepResult) -> StepResult:
+def check_link(bench: BringupBench, found: StepResult) -> Ending:
     """Read the control registers three times: silence, a stuck, inverted or shifted data line.
 
     Tests also if a known wiring error explains the replies.
@@ -98,15 +105,15 @@ def check_link(bench: BringupBench, found: StepResult) -> StepResult:
             problem = "the words make no sense in any reading: check the wires of DIN, DOUT and CS"
     if problem:
         bench.blocked = "the link does not work"
-        return found.fault(problem)
+        return Verdict.FAULT, problem
     bench.constants = dict(zip((row.name for row in _CONSTANT), first, strict=True))
     wrong = [row.name for row, word in zip(_CONSTANT, first, strict=True) if not legal(row, word)]
     if wrong:
-        return found.differs(
+        return Verdict.DIFFERS, (
             f"registers answer, but with bits that they should not have: {', '.join(wrong)}"
         )
     names = ", ".join(sorted(bench.bus.capabilities)) or "none"
-    return found.ok(f"the registers answer with legal content; capabilities of the bridge: {names}")
+    return Verdict.OK, f"the registers answer with legal content; capabilities of the bridge: {names}"
 
 
 def _unreadable(words: Words) -> str:
@@ -128,7 +135,7 @@ def _unreadable(words: Words) -> str:
 _TIMED_FRAMES = 500
 
 
-def check_timing(bench: BringupBench, found: StepResult) -> StepResult:
+def check_timing(bench: BringupBench, found: StepResult) -> Ending:
     """Ask the bridge for the timing of both modes and time 500 frames.
 
     Clock, stall and period that the bridge reports, and the measured time of a frame, are compared with the
@@ -152,9 +159,9 @@ def check_timing(bench: BringupBench, found: StepResult) -> StepResult:
     wrong += _too_quick(frame_us, bench.bus.timing)
     if wrong:
         bench.blocked = "the bridge breaks the part's limits"
-        return found.fault(f"the bridge breaks the part's limits: {'; '.join(wrong)}")
+        return Verdict.FAULT, f"the bridge breaks the part's limits: {'; '.join(wrong)}"
     value = [figure.value for figure in found.figures]
-    return found.ok(
+    return Verdict.OK, (
         f"the bridge reports {value[0] / 1e3:g} kHz and {value[1]:g} µs of stall in fast mode,"
         f" {value[3] / 1e3:g} kHz and {value[4]:g} µs in normal mode, where a frame takes"
         f" {frame_us:.0f} µs"
@@ -173,7 +180,7 @@ def _too_quick(frame_us: float, timing: SpiTiming) -> list[str]:
     return []
 
 
-def count_bit_errors(bench: BringupBench, found: StepResult) -> StepResult:
+def count_bit_errors(bench: BringupBench, found: StepResult) -> Ending:
     """Read constant registers 1000 times at each clock of the bridge, slowest first.
 
     Ends at the first clock with errors, and limits later steps to the fastest clock without errors. A
@@ -184,23 +191,21 @@ def count_bit_errors(bench: BringupBench, found: StepResult) -> StepResult:
     # The highest clock of each mode is by the data sheet (A).
     fastest_hz, limit = (2e6, FAST) if smpl_prd <= FAST_UP_TO else (300e3, NORMAL)
     clocks = _offered(bench, fastest_hz, limit)
-    bench.bus.inner.configure(dataclasses.replace(limit, clock_hz=clocks[0]))
     expected = np.empty(0, np.uint16)
-    wrong_words: list[int] = []
-    reads = 0
+    clean: list[float] = []
     quick: list[str] = []
+    bad = total = 0
     for clock in clocks:
         timing = bench.bus.inner.configure(dataclasses.replace(limit, clock_hz=clock))
         words, frame_us = _read_constants(bench)
-        if not wrong_words:  # the majority at the slowest clock is the truth
+        if not clean:  # the majority at the slowest clock is the truth
             expected = _majority(words)
-        wrong_words.append(int(np.count_nonzero(words != expected)))
-        reads = words.size
+        bad, total = int(np.count_nonzero(words != expected)), total + words.size
+        found.measure(f"wrong of {words.size} at {clock / 1e3:g} kHz", bad, expected=0)
         quick += _too_quick(frame_us, timing)
-        if wrong_words[-1]:
+        if bad:
             break
-    tried, bad = clocks[: len(wrong_words)], wrong_words[-1]
-    clean = tried[:-1] if bad else tried
+        clean.append(clock)
     bench.bus.inner.configure(dataclasses.replace(limit, clock_hz=clocks[0]))
     changed: list[str] = []
     if bad and clean:
@@ -208,18 +213,15 @@ def count_bit_errors(bench: BringupBench, found: StepResult) -> StepResult:
         changed = [row.name for row, a, b in zip(_CONSTANT, expected, now, strict=True) if a != b]
     bench.bus.ceiling_hz = max(clean, default=clocks[0])
     bench.refresh()
-    total = reads * len(tried)
-    for clock, count in zip(tried, wrong_words, strict=True):
-        found.measure(f"wrong of {reads} at {clock / 1e3:g} kHz", count, expected=0)
     if quick:
         bench.blocked = "the bridge breaks the part's limits"
-        return found.fault(quick[0])
+        return Verdict.FAULT, quick[0]
     if not bad:
-        return found.ok(
-            f"no error in {total} words at {len(tried)} clocks from {clocks[0] / 1e3:g} to"
+        return Verdict.OK, (
+            f"no error in {total} words at {len(clean)} clocks from {clocks[0] / 1e3:g} to"
             f" {clocks[-1] / 1e3:g} kHz"
         )
-    text = f"{bad} of {reads} words are wrong at {tried[-1] / 1e3:g} kHz"
+    text = f"{bad} of {words.size} words are wrong at {clock / 1e3:g} kHz"
     if not clean:
         bench.blocked = "words are wrong at the slowest clock"
         text += ", the slowest: shorten the wires, check supply and ground"
@@ -227,7 +229,7 @@ def count_bit_errors(bench: BringupBench, found: StepResult) -> StepResult:
         text += f", none up to {clean[-1] / 1e3:g} kHz: shorten the wires; later steps were no faster"
     if changed:
         text += f"; a read became a write: {', '.join(changed)} changed"
-    return found.fault(text)
+    return Verdict.FAULT, text
 
 
 def _offered(bench: BringupBench, most_hz: float, limit: SpiTiming) -> list[float]:
@@ -272,7 +274,7 @@ TEMPERATURE_C = (-40.0, 85.0)
 _SCANS = 256
 
 
-def check_supply(bench: BringupBench, found: StepResult) -> StepResult:
+def check_supply(bench: BringupBench, found: StepResult) -> Ending:
     """Read supply and temperatures 256 times; read STATUS twice (a read clears it).
 
     Supply and temperatures are compared with the limits of operation, and STATUS has to be clear.
@@ -281,7 +283,7 @@ def check_supply(bench: BringupBench, found: StepResult) -> StepResult:
     bench.wait_updates()
     standing = Status(bench.sensor.read("STATUS"))
     names = ("SUPPLY_OUT", *TEMP_OUT)
-    block, _ = bench.scans(_SCANS, names)
+    block = bench.scans(_SCANS, names)
     lsb, _, _ = scales(registers(names), bench.sensor.variant, 300)
     value, u = mean_at_rest(block.values(), lsb, bench.sensor.configuration().filter_m)
     found.measure("supply", value[0], "V", u[0], 5.0)
@@ -302,17 +304,17 @@ def check_supply(bench: BringupBench, found: StepResult) -> StepResult:
     if standing.flags["supply_low"] or standing.flags["supply_high"]:
         bench.supply_ok = False
     if wrong:
-        return found.fault("; ".join(wrong))
+        return Verdict.FAULT, "; ".join(wrong)
     warmth = ", ".join(f"{t:.1f}" for t in value[1:])
-    return found.ok(f"supply {value[0]:.3f} V, temperatures {warmth} °C, STATUS clear")
+    return Verdict.OK, f"supply {value[0]:.3f} V, temperatures {warmth} °C, STATUS clear"
 
 
-def identify_variant(bench: BringupBench, found: StepResult) -> StepResult:
+def identify_variant(bench: BringupBench, found: StepResult) -> Ending:
     """Measure |a| at rest, less the offsets: 2140 LSB on the ADIS16354, 397 on the ADIS16350/55.
 
     No property but |a| at 1 g differs between the variants.
     """
-    block, _ = bench.scans(_SCANS, ACCEL_OUT)
+    block = bench.scans(_SCANS, ACCEL_OUT)
     numbers = block.numbers().astype(np.float64)
     mean, u = mean_at_rest(numbers, 1.0, bench.sensor.configuration().filter_m)
     # The bias in the table is that of the part alone, without the offset registers.
@@ -337,20 +339,19 @@ def identify_variant(bench: BringupBench, found: StepResult) -> StepResult:
     for name, m, s in zip(ACCEL_OUT, mean, u, strict=True):
         found.measure(f"mean of {name}, less its offset", m, "LSB", s)
     found.measure("tolerance of |a| (1 sigma)", tolerance * asked.one_g_lsb, "LSB")
-    nearest = min(VARIANTS.values(), key=lambda v: abs(np.log(max(norm, 1e-9) / v.one_g_lsb)))
     fits = [v for v in VARIANTS.values() if abs(norm / v.one_g_lsb - 1) <= PLAUSIBLE]
-    if nearest.one_g_lsb != asked.one_g_lsb and fits:
+    if not fits:
+        return Verdict.FAULT, f"|a| is {norm / asked.one_g_lsb:.2f} g: no known part; was it still?"
+    if fits[0].one_g_lsb != asked.one_g_lsb:
         names = " or ".join(v.name.upper() for v in fits)
         bench.sensor.variant = fits[0]
-        return found.fault(
+        return Verdict.FAULT, (
             f"|a| is {norm:.0f} LSB: this is an {names}, not an {asked.name.upper()}"
             f" ({asked.one_g_lsb:.0f} LSB); the rest is judged as for an {fits[0].name.upper()}"
         )
-    if not fits:
-        return found.fault(f"|a| is {norm / asked.one_g_lsb:.2f} g: no known part; was it still?")
     if abs(off) > Z * tolerance:
-        return found.differs(
+        return Verdict.DIFFERS, (
             f"|a| is {1000 * norm / asked.one_g_lsb:.0f} mg, further from 1 g than the table's bias and"
             " gain allow"
         )
-    return found.ok(f"|a| is {norm:.0f} LSB, {1 + off:.3f} g of an {asked.name.upper()}")
+    return Verdict.OK, f"|a| is {norm:.0f} LSB, {1 + off:.3f} g of an {asked.name.upper()}"

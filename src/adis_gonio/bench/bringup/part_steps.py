@@ -13,9 +13,13 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import ChipError
 from adis_gonio.bench.bringup.bringup_step import (
+    Answer,
     BringupBench,
+    Ending,
+    NotMeasuredError,
     Outcome,
     StepResult,
+    Verdict,
     Z,
     highest_bin,
     variance_ratio,
@@ -45,7 +49,6 @@ _STEP = 1000
 
 _OVER_RANGE = BY_NAME["STATUS"].field("over_range").mask
 _ALARM = BY_NAME["STATUS"].field("alarm1").mask
-_GAPS = "the scans have gaps on this bridge, so that they have no spectrum"
 BANDS = 6
 HANN_WIDTH = 35 / 18
 """Number of bins of a periodogram with Hann's window that count as one independent bin in a mean."""
@@ -73,7 +76,7 @@ def spectrum(values: Floats) -> tuple[Floats, Floats]:
     return np.asarray(cycles, np.float64), np.asarray(density / 2, np.float64)
 
 
-def measure_noise(bench: BringupBench, found: StepResult) -> StepResult:
+def measure_noise(bench: BringupBench, found: StepResult) -> Ending:
     """Record 4096 scans of accelerometers and gyros at rest: rms, bands of the spectrum, tones.
 
     The noise of all axes is compared with the figures of the variant, and its spectrum with the filter.
@@ -82,17 +85,15 @@ def measure_noise(bench: BringupBench, found: StepResult) -> StepResult:
     configuration = sensor.configuration()
     names = (*ACCEL_OUT, *GYRO_OUT)
     if configuration.gyro_range_dps is None:
-        return found.not_measured("SENS_AVG holds no valid range of the gyros")
-    block, whole = bench.scans(_NOISE_SCANS, names)
-    if not whole:
-        return found.not_measured(_GAPS)
+        raise NotMeasuredError("SENS_AVG holds no valid range of the gyros")
+    block = bench.scans(_NOISE_SCANS, names, gaps=False)
     m, rate = configuration.filter_m, configuration.sample_rate_hz
     lsb, _, units = scales(registers(names), sensor.variant, configuration.gyro_range_dps)
     expected = sensor.variant.performance.noise
     numbers = block.numbers().astype(np.float64)
     stuck = [name for name, column in zip(names, numbers.T, strict=True) if not np.ptp(column)]
     if stuck:
-        return found.fault(f"{', '.join(stuck)} never changes: the axis does not work")
+        return Verdict.FAULT, f"{', '.join(stuck)} never changes: the axis does not work"
     judged = _by_spectrum(sensor.variant, numbers, m, rate, expected / lsb)
     sigma, u = judged.sigma * lsb, judged.u * lsb
     for name, s, d, e, unit in zip(names, sigma, u, expected, units, strict=True):
@@ -104,19 +105,19 @@ def measure_noise(bench: BringupBench, found: StepResult) -> StepResult:
             f"a tone of {math.sqrt(2) * rms * lsb[k]:.2g} {units[k]} at {hz:.1f} Hz on {names[k]}"
             for k, hz, rms in judged.tones
         )
-        return found.fault(f"{text}: hum or a vibrating table")
+        return Verdict.FAULT, f"{text}: hum or a vibrating table"
     if judged.shape_off:
         wrong = ", ".join(names[k] for k in judged.shape_off)
-        return found.differs(f"the spectrum of {wrong} is not the filter's")
+        return Verdict.DIFFERS, f"the spectrum of {wrong} is not the filter's"
     off = [k for k in range(6) if judged.level_off[k]]
     if off:
-        return found.differs(
+        return Verdict.DIFFERS, (
             "; ".join(
                 f"{names[k]}: {sigma[k]:.3g} {units[k]} rms, the table says {expected[k]:g}" for k in off
             )
         )
     mean_mg, mean_dps = float(np.mean(sigma[:3])), float(np.mean(sigma[3:]))
-    return found.ok(
+    return Verdict.OK, (
         f"{mean_mg:.2f} mg and {mean_dps:.3f} °/s rms unfiltered, as the table says, white behind the"
         " filter"
     )
@@ -206,7 +207,7 @@ def _answer_noise(found: StepResult, off: Sequence[bool]) -> None:
 _FILTER_SCANS = 2048
 
 
-def measure_filter(bench: BringupBench, found: StepResult) -> StepResult:
+def measure_filter(bench: BringupBench, found: StepResult) -> Ending:
     """Write M = 0 … 6 in SENS_AVG and measure the noise of the accelerometers at each.
 
     The noise at rest with each M is compared with the noise at M = 0.
@@ -218,16 +219,14 @@ def measure_filter(bench: BringupBench, found: StepResult) -> StepResult:
     for m in range(7):
         bench.sensor.write("SENS_AVG", sens_avg_word(300, m))
         bench.bus.sleep_s(bench.sensor.configuration().settling_s)
-        block, whole = bench.scans(_FILTER_SCANS, ACCEL_OUT)
-        if not whole:
-            return found.not_measured(_GAPS)
+        block = bench.scans(_FILTER_SCANS, ACCEL_OUT, gaps=False)
         judged = _by_spectrum(part, block.numbers().astype(np.float64), m, rate, expected)
         # Noise of an axis before the filter, if its gain is that of the table, and relative u.
         noise = float(judged.sigma.mean())
         u = float(np.linalg.norm(judged.u)) / len(judged.u) / noise
         if m == 0:
             if judged.tones:
-                return found.not_measured("the table vibrates, see the step 'noise'")
+                raise NotMeasuredError("the table vibrates, see the step 'noise'")
             first, u_first = noise, u
             continue
         ratio, u = noise / first, math.hypot(u, u_first)
@@ -241,7 +240,7 @@ def measure_filter(bench: BringupBench, found: StepResult) -> StepResult:
     return found.by_answers()
 
 
-def measure_offsets(bench: BringupBench, found: StepResult) -> StepResult:
+def measure_offsets(bench: BringupBench, found: StepResult) -> Ending:
     """Write +1000 to XACCL_OFF, YACCL_OFF, ZACCL_OFF and look how far the outputs move.
 
     Reads the outputs without an offset, with it and without it; then changes an offset once more, with the
@@ -274,7 +273,7 @@ def measure_offsets(bench: BringupBench, found: StepResult) -> StepResult:
             table = f", the table says {finding.question.table}"
             said = "" if finding.outcome is Outcome.CONFIRMS else table
             text = f"{finding.question.text} {finding.best}{said} ({finding.seen})"
-        found.answer(name, finding.outcome, text, *finding.measured)
+        found.answers[name] = Answer(finding.outcome, text, finding.measured)
     return found.by_answers()
 
 
@@ -289,7 +288,7 @@ def _mean_u(bench: BringupBench, count: int) -> Floats:
     return np.asarray(np.sqrt(white**2 / count + 2 * floor**2 + 1 / 12 / count))
 
 
-def run_self_tests(bench: BringupBench, found: StepResult) -> StepResult:
+def run_self_tests(bench: BringupBench, found: StepResult) -> Ending:
     """Run the internal self-test, then the manual one with the positive and the negative stimulus.
 
     The change of the outputs of all six axes is measured by means without, with +, without, with − and
@@ -336,7 +335,7 @@ def run_self_tests(bench: BringupBench, found: StepResult) -> StepResult:
         answer = answers[axes][0]
         text = f"{', '.join(names[axes])} answer {_ANSWERS[answer]}"
         found.check(question, answer == right, text, *found.figures[axes], *found.figures[6:][axes])
-    return found.fault("; ".join(wrong)) if wrong else found.by_answers()
+    return (Verdict.FAULT, "; ".join(wrong)) if wrong else found.by_answers()
 
 
 _ANSWERS = {
@@ -346,7 +345,7 @@ _ANSWERS = {
 }
 
 
-def check_status(bench: BringupBench, found: StepResult) -> StepResult:
+def check_status(bench: BringupBench, found: StepResult) -> Ending:
     """Raise an alarm and over-range by registers alone, end them, and look at EA and STATUS.
 
     Tests if the alarm bit stays until STATUS is read, and if the over-range bit clears.
@@ -355,7 +354,7 @@ def check_status(bench: BringupBench, found: StepResult) -> StepResult:
     bench.sensor.read("STATUS")
     bench.wait_updates()
     if standing := bench.sensor.read("STATUS"):
-        return found.not_measured(f"STATUS is 0x{standing:04X} already")
+        raise NotMeasuredError(f"STATUS is 0x{standing:04X} already")
     bench.sensor.set_alarm(1, Alarm("SUPPLY_OUT", threshold=1.0))
     bench.wait_updates()
     # EA of an output shows it; a read of STATUS would clear the bit.
@@ -368,11 +367,14 @@ def check_status(bench: BringupBench, found: StepResult) -> StepResult:
     if raised:
         until = "until STATUS is read" if stays else "not until STATUS is read"
         found.check("alarm_stays", stays, f"the bit of an alarm stays {until}")
-    _over_range(bench, found)
+    try:
+        _over_range(bench, found)
+    except NotMeasuredError as reason:
+        found.answers["over_range_falls"] = Answer(Outcome.NOT_MEASURED, str(reason))
     if not raised:
-        return found.differs("an alarm on the supply above 1 V does not show as EA")
+        return Verdict.DIFFERS, "an alarm on the supply above 1 V does not show as EA"
     if kept:
-        return found.differs("an alarm's bit is not cleared by a read of STATUS")
+        return Verdict.DIFFERS, "an alarm's bit is not cleared by a read of STATUS"
     return found.by_answers()
 
 
@@ -380,6 +382,11 @@ def _over_range(bench: BringupBench, found: StepResult) -> None:
     """Drive one axis over its range by its offset register and back; see if the bit of STATUS falls.
 
     The axis is the one along which gravity is largest.
+
+    Raises
+    ------
+    NotMeasuredError
+        The offset register cannot drive the axis over its range.
     """
     sensor = bench.sensor
     part = sensor.variant
@@ -393,16 +400,11 @@ def _over_range(bench: BringupBench, found: StepResult) -> None:
     reached_mg = abs(rest + end) * part.accel_mg_per_lsb
     # The condition has to be true in every sample, even with the largest noise.
     needed_mg = 1000 * part.accel_range_g + Z * part.performance.noise_mg
-
-    def unknown(why: str) -> None:
-        found.answer("over_range_falls", Outcome.NOT_MEASURED, why)
-
     if reached_mg < needed_mg:
-        unknown(
+        raise NotMeasuredError(
             f"with its offset {ACCEL_OUT[axis]} reaches {reached_mg:.0f} mg only of {needed_mg:.0f}:"
             " turn the part so that an axis points along gravity"
         )
-        return
 
     def bit_after(number: int) -> bool:
         sensor.write(name, number)
@@ -411,32 +413,31 @@ def _over_range(bench: BringupBench, found: StepResult) -> None:
 
     bit_after(end)
     if not bit_after(end):
-        unknown(f"{reached_mg:.0f} mg by the offset raise no over-range")
-        return
+        raise NotMeasuredError(f"{reached_mg:.0f} mg by the offset raise no over-range")
     bench.wait_updates()  # the read cleared the bit, and the condition sets it again
     stays = bit_after(held)
     text = f"after its condition has ended, the bit of over-range {'stays' if stays else 'falls'}"
     found.check("over_range_falls", not stays, text)
 
 
-def check_flash_count(bench: BringupBench, found: StepResult) -> StepResult:
+def check_flash_count(bench: BringupBench, found: StepResult) -> Ending:
     """Reset the part, so that registers have the flash's numbers, and save them: ENDURANCE + 1.
 
     The save changes none of the numbers.
     """
     if not bench.supply_ok:
-        return found.not_measured("the supply is outside its limits, so that a flash update may fail")
+        raise NotMeasuredError("the supply is outside its limits, so that a flash update may fail")
     used = {"AUX_DAC": 0x0FFF, "GPIO_CTRL": 0x0003}  # a voltage, lines that are outputs
     in_use = [name for name, bits in used.items() if bench.sensor.read(name) & bits]
     if in_use:
-        return found.not_measured(f"{' and '.join(in_use)} is in use, which a reset would drop")
+        raise NotMeasuredError(f"{' and '.join(in_use)} is in use, which a reset would drop")
     before = bench.sensor.read("ENDURANCE")
     bench.sensor.reset()
     try:
         after = bench.sensor.save_to_flash()
     except ChipError as error:
-        found.answer("flash_count", Outcome.CONTRADICTS, str(error))
-        return found.fault(str(error))
+        found.check("flash_count", False, str(error))
+        return Verdict.FAULT, str(error)
     found.measure("ENDURANCE before", before)
     found.measure("ENDURANCE after", after, expected=before + 1)
     found.check("flash_count", True, f"ENDURANCE went from {before} to {after}", *found.figures)

@@ -15,11 +15,15 @@ from adis_gonio.bench.bringup.bringup_step import (
     BOARD_CLOCK_U,
     HOST_CLOCK_U,
     BringupBench,
+    Ending,
+    NotMeasuredError,
     StepResult,
+    Verdict,
     Z,
 )
 from adis_gonio.device.bus import Capability, Words
 from adis_gonio.device.sensor.registers import BY_NAME, ND, read_frames, timing_for, write_frames
+from adis_gonio.device.sensor.scanning import MASK, enabling_bits
 from adis_gonio.device.sensor.settings import sample_period_s
 
 _MISC = BY_NAME["MSC_CTRL"]
@@ -36,32 +40,29 @@ _CLOCK, _STEADY = 0.03, 0.004
 change)."""
 
 
-@dataclass(frozen=True)
-class Period:
-    """Measured period of the sensor's sample updates in s, with its standard uncertainty."""
+def measure_period(bench: BringupBench, expected_s: float, updates: int) -> tuple[float, float]:
+    """Measure the period of the sample updates in s by the new-data flags (ND) of one register.
 
-    value_s: float
-    u_s: float
-
-
-def measured_period(bench: BringupBench, expected_s: float, updates: int) -> Period | str:
-    """Measure the period of the sample updates by the new-data flags (ND) of one register.
-
-    `expected_s` is the nominal period, `updates` the number of periods to measure. If the period cannot be
-    measured, the reason is returned as text.
+    Returns the period and its standard uncertainty in s. `expected_s` is the nominal period, `updates` the
+    number of periods to measure.
 
     Only the first read after an update has ND set. The time between two such reads is therefore a whole
     number of periods, with a uniform error of one read at either end: u = frame sqrt(1/6) / number of
     periods, with the time of a frame.
+
+    Raises
+    ------
+    NotMeasuredError
+        The bridge is too slow, or no update was seen.
     """
     _, frame_s = bench.repeated(_READ, 4)
     if frame_s > expected_s / 2.5:
-        return (
+        raise NotMeasuredError(
             f"this bridge reads a word in {1e3 * frame_s:.2g} ms, an update takes {1e3 * expected_s:.2g} ms"
         )
     unbroken = bench.bus.unbroken_frames
     if unbroken is not None and unbroken * frame_s < 3 * expected_s:
-        return (
+        raise NotMeasuredError(
             f"this bridge runs {unbroken} frames without a pause, too few for updates every"
             f" {1e3 * expected_s:.2g} ms"
         )
@@ -81,10 +82,10 @@ def measured_period(bench: BringupBench, expected_s: float, updates: int) -> Per
         if periods >= updates or (not periods and looked_s > 256 * expected_s):
             break
     if not periods:
-        return "no update was seen: bit ND never came"
+        raise NotMeasuredError("no update was seen: bit ND never came")
     value = spans / periods
     clock_u = BOARD_CLOCK_U if bench.bus.unbroken_frames is not None else HOST_CLOCK_U
-    return Period(value, math.hypot(frame_s * math.sqrt(ends / 6) / periods, clock_u * value))
+    return value, math.hypot(frame_s * math.sqrt(ends / 6) / periods, clock_u * value)
 
 
 def nearest_code(period_s: float) -> int:
@@ -92,30 +93,27 @@ def nearest_code(period_s: float) -> int:
     return min(range(1, 256), key=lambda n: abs(math.log(period_s / sample_period_s(n))))
 
 
-def measure_rate(bench: BringupBench, found: StepResult) -> StepResult:
+def measure_rate(bench: BringupBench, found: StepResult) -> Ending:
     """Count new-data flags (ND) of one register that is read without a pause.
 
     The period of the updates is compared with the nominal period of SMPL_PRD.
     """
     configuration = bench.sensor.configuration()
     expected = configuration.sample_period_s
-    period = measured_period(bench, expected, max(8, min(512, round(2.0 / expected))))
-    if isinstance(period, str):
-        return found.not_measured(period)
-    rate = 1 / period.value_s
-    found.measure("sample rate", rate, "Hz", rate * period.u_s / period.value_s, 1 / expected)
-    found.measure("period", 1e6 * period.value_s, "us", 1e6 * period.u_s, 1e6 * expected)
-    bench.clock = period.value_s / expected
-    off = abs(period.value_s - expected)
-    if off <= Z * period.u_s:
-        return found.ok(f"{rate:.2f} updates a second, as SMPL_PRD says")
-    code = nearest_code(period.value_s)
+    period, u = measure_period(bench, expected, max(8, min(512, round(2.0 / expected))))
+    rate = 1 / period
+    found.measure("sample rate", rate, "Hz", rate * u / period, 1 / expected)
+    found.measure("period", 1e6 * period, "us", 1e6 * u, 1e6 * expected)
+    bench.clock = period / expected
+    if abs(period - expected) <= Z * u:
+        return Verdict.OK, f"{rate:.2f} updates a second, as SMPL_PRD says"
+    code = nearest_code(period)
     if sample_period_s(code) != expected:
-        return found.fault(
+        return Verdict.FAULT, (
             f"{rate:.2f} updates a second, SMPL_PRD says {1 / expected:.2f}; that would be"
             f" SMPL_PRD = 0x{code:02X}"
         )
-    return found.differs(
+    return Verdict.DIFFERS, (
         f"{rate:.2f} updates a second, {signed(100 * (rate * expected - 1), 2)} % from the nominal rate"
     )
 
@@ -181,7 +179,7 @@ class _Edges:
 _EDGE_SCANS = 256
 
 
-def check_data_ready(bench: BringupBench, found: StepResult) -> StepResult:
+def check_data_ready(bench: BringupBench, found: StepResult) -> Ending:
     """Enable data-ready, count edges, start scans at both edges of the pulse and find the ND.
 
     A bridge that cannot start scans at edges only counts them.
@@ -189,9 +187,7 @@ def check_data_ready(bench: BringupBench, found: StepResult) -> StepResult:
     capabilities = bench.bus.capabilities
     streams, counts = (one in capabilities for one in (Capability.STREAM, Capability.EVENT_COUNTER))
     if not (streams or counts):
-        return found.not_measured(
-            "this bridge has no data-ready input (neither streams nor an event counter)"
-        )
+        raise NotMeasuredError("this bridge has no data-ready input (neither streams nor an event counter)")
     configuration = bench.sensor.configuration()
     period = configuration.sample_period_s * bench.clock
     before = bench.sensor.read(_MISC)
@@ -203,12 +199,12 @@ def check_data_ready(bench: BringupBench, found: StepResult) -> StepResult:
             # Two edges may lie on either side of the span; the bridge's clock is off by so much.
             slack = 2 + Z * BOARD_CLOCK_U * expected
             if edges == 0:
-                return found.not_measured(_NO_EDGE)
+                raise NotMeasuredError(_NO_EDGE)
             if abs(edges - expected) > slack:
-                return found.fault(_describe_rate(edges, expected, period))
+                return Verdict.FAULT, _describe_rate(edges, expected, period)
             bench.data_ready = True
         if not streams:
-            return found.ok(
+            return Verdict.OK, (
                 f"{edges} edges where {expected:.0f} updates were expected; which edge leads: not"
                 " measured, this bridge starts no scans at the edge"
             )
@@ -216,14 +212,13 @@ def check_data_ready(bench: BringupBench, found: StepResult) -> StepResult:
         _enable_data_ready(bench, before, first=True)
         first = _scan_at_edges(bench, period)
         _enable_data_ready(bench, before, first=False)
-        second = None if first is None else _scan_at_edges(bench, period)
+        second = _scan_at_edges(bench, period)
     except UsageError as error:
-        return found.not_measured(f"this bridge takes no list of {_READS} reads at an edge ({error})")
+        why = f"this bridge takes no list of {_READS} reads at an edge ({error})"
+        raise NotMeasuredError(why) from error
     finally:
         _write_misc(bench, before)
         bench.refresh()
-    if first is None or second is None:
-        return found.not_measured(_NO_EDGE)
     return _judge_edges(bench, period, first, second, found)
 
 
@@ -232,11 +227,7 @@ def _enable_data_ready(bench: BringupBench, before: int, *, first: bool) -> None
 
     `before` is the word of MSC_CTRL to change.
     """
-    low = before & ~(_MISC.field("polarity").mask | _MISC.field("line").mask)
-    low |= _MISC.field("data_ready").mask
-    if bench.bus.edge_rises == first:
-        low |= _MISC.field("polarity").mask
-    _write_misc(bench, low)
+    _write_misc(bench, before & ~MASK | enabling_bits(bench.bus, first=first))
 
 
 def _write_misc(bench: BringupBench, word: int) -> None:
@@ -265,10 +256,15 @@ def _describe_rate(edges: int, expected: float, period_s: float) -> str:
     return f"{rate:.0f} edges a second where {1 / period_s:.1f} updates are configured: {rest}"
 
 
-def _scan_at_edges(bench: BringupBench, period_s: float) -> _Edges | None:
+def _scan_at_edges(bench: BringupBench, period_s: float) -> _Edges:
     """Record scans of one register, started at data-ready edges, each nearly as long as `period_s`.
 
-    Returns None if no edge starts a scan.
+    Raises
+    ------
+    NotMeasuredError
+        No edge starts a scan.
+    UsageError
+        The list of reads is too long for the bridge or for the period.
     """
     timing = timing_for(bench.sensor.read("SMPL_PRD"))
     # One more frame fetches the last reply; 5 % of the period is reserved for the bridge.
@@ -286,7 +282,7 @@ def _scan_at_edges(bench: BringupBench, period_s: float) -> _Edges | None:
         except BusTimeoutError:
             if Capability.EVENT_COUNTER in bench.bus.capabilities:  # the counter has seen edges
                 raise
-            return None
+            raise NotMeasuredError(_NO_EDGE) from None
     words = np.concatenate([block.words for block in blocks])
     times = np.concatenate([block.time_s for block in blocks])
     lost = sum(block.lost for block in blocks[1:])  # edges before the first block do not count
@@ -296,7 +292,7 @@ def _scan_at_edges(bench: BringupBench, period_s: float) -> _Edges | None:
 
 def _judge_edges(
     bench: BringupBench, period_s: float, first: _Edges, second: _Edges, found: StepResult
-) -> StepResult:
+) -> Ending:
     for name, edges in (("first", first), ("second", second)):
         found.measure(f"{name} edge: rate of scans", edges.rate_hz, "Hz", expected=1 / period_s)
         found.measure(f"{name} edge: scans that follow an update", edges.locked, expected=1.0)
@@ -305,25 +301,25 @@ def _judge_edges(
         found.measure(f"{name} edge: missed", edges.missed, expected=0)
     surplus = max(first.surplus - first.slack, second.surplus - second.slack)
     if surplus > 0:
-        return found.fault("more edges come than updates: the input picks up noise too")
+        return Verdict.FAULT, "more edges come than updates: the input picks up noise too"
     if first.locked < 1:
-        return found.fault(
+        return Verdict.FAULT, (
             f"{100 * (1 - first.locked):.0f} % of the scans do not follow an update: the input picks up"
             " noise"
         )
     missed = first.missed + second.missed
     if missed:
-        return found.fault(f"{missed} of {2 * _EDGE_SCANS + missed} edges were missed")
+        return Verdict.FAULT, f"{missed} of {2 * _EDGE_SCANS + missed} edges were missed"
     bench.data_ready = True
     if first.usual > 0:
         found.check("data_ready_edge", False, "the update comes after the pulse's first edge")
-        return found.differs(
+        return Verdict.DIFFERS, (
             "the wrong edge leads: the update comes after the pulse's first edge, so that words of a"
             " scan that starts there mix two updates"
             + ("; at its second edge they do not" if second.usual == 0 else "")
         )
     found.check("data_ready_edge", True, "a scan that starts at the pulse's first edge sees the update")
-    return found.ok(
+    return Verdict.OK, (
         f"every edge follows an update, none is missed; the first edge of the pulse leads; jitter"
         f" {first.jitter_us:.1f} µs rms"
     )
@@ -353,25 +349,25 @@ def _jitter(time_s: Floats, period_s: float) -> tuple[float, float]:
 _CODES = (0x01, 0x04, 0x09, 0x0A, 0x1F, 0x7F, 0x80, 0x83)
 
 
-def measure_periods(bench: BringupBench, found: StepResult) -> StepResult:
+def measure_periods(bench: BringupBench, found: StepResult) -> Ending:
     """Write eight values of SMPL_PRD in both time bases and measure the period of each.
 
     The nominal period is the time base (bit 7 of the value) times (N + 1), with N in bits 0 to 6.
     """
-    why, ratios = "", []
+    why, ratios = NotMeasuredError(), []
     for code in _CODES:
         bench.sensor.write("SMPL_PRD", code)
         expected = sample_period_s(code) * bench.clock
         bench.bus.sleep_s(2 * expected)
-        period = measured_period(bench, expected, max(12, min(256, round(0.5 / expected))))
-        if isinstance(period, str):
-            why = period
+        try:
+            period, u = measure_period(bench, expected, max(12, min(256, round(0.5 / expected))))
+        except NotMeasuredError as error:
+            why = error
             continue
-        name, ms = f"period at 0x{code:02X}", 1e3 * period.value_s
-        found.measure(name, ms, "ms", 1e3 * period.u_s, 1e3 * expected)
-        ratios.append((period.value_s / expected, period.u_s / expected))
+        found.measure(f"period at 0x{code:02X}", 1e3 * period, "ms", 1e3 * u, 1e3 * expected)
+        ratios.append((period / expected, u / expected))
     if not ratios:
-        return found.not_measured(why)
+        raise why
     # All periods come from one clock, whose error the most precise ratio shows.
     clock, clock_u = min(ratios, key=lambda one: one[1])
     off = clock - 1

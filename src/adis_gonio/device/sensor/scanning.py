@@ -82,6 +82,15 @@ MASK = _ROW.field("data_ready").mask | _POLARITY | _ROW.field("line").mask
 """Bits of MSC_CTRL for the data-ready output: enable, polarity and line."""
 
 
+def enabling_bits(bus: SpiBus, *, first: bool) -> int:
+    """Return the bits of MSC_CTRL that enable data-ready on DIO1, the line wired to the bridges.
+
+    The bus then starts scans at the first or, with `first` False, at the last edge of the pulse.
+    """
+    # A pulse that is high begins with a rising edge and ends with a falling one.
+    return _ROW.field("data_ready").mask | (_POLARITY if bus.edge_rises == first else 0)
+
+
 def edges_arrive(bus: SpiBus, period_s: float) -> bool:
     """Return True if data-ready edges come, one for each update, or if the bus cannot count edges.
 
@@ -209,10 +218,7 @@ class DataReadyLoan:
         )
 
     def _enable(self) -> None:
-        ours = _ROW.field("data_ready").mask
-        # A pulse that is high begins with a rising edge and ends with a falling one.
-        if self._sensor.bus.edge_rises == (self.edge == "first"):
-            ours |= _POLARITY
+        ours = enabling_bits(self._sensor.bus, first=self.edge == "first")
         if ours != self._ours:
             self._ours = ours  # before the write, which may be interrupted
             self._set(ours)
