@@ -705,14 +705,15 @@ class SerialBus(HostBus):
 
     # -- requests ---------------------------------------------------------------------------------------
 
-    def _ask(self, request: Body, reply: type[B], runs_s: float = 0.0) -> B:
-        if self._lost_session:
+    def _ask(self, request: Body, reply: type[B], runs_s: float = 0.0, *, renews: bool = True) -> B:
+        """Send a request and return its reply; `renews` opens a lost session again and repeats it once."""
+        if renews and self._lost_session:
             self._renew()
         try:
             return self._link.request(request, reply, runs_s)
         except RefusedError as refused:
             forgotten = refused.code in (wire.Refusal.NO_SESSION, wire.Refusal.BUSY)
-            if not forgotten or self._stream is not None:
+            if not (renews and forgotten) or self._stream is not None:
                 raise ProtocolError(f"{self.url}: {refused}") from refused
             self._lost_session = True
             if not refused.once:
@@ -722,20 +723,15 @@ class SerialBus(HostBus):
             self._lost_session = True
             raise
         self._renew()
-        return self._ask_once(request, reply, runs_s)
-
-    def _ask_once(self, request: Body, reply: type[B], runs_s: float = 0.0) -> B:
-        try:
-            return self._link.request(request, reply, runs_s)
-        except RefusedError as refused:
-            raise ProtocolError(f"{self.url}: {refused}") from refused
+        return self._ask(request, reply, runs_s, renews=False)
 
     def _renew(self) -> None:
         """Open a new session by a hello request, which resets the SPI timing; set the timing again."""
         self.firmware = self._link.hello(self._boot_s)
         timing = self.timing
         stall, period = math.ceil(timing.stall_us), math.ceil(timing.period_us)
-        self._ask_once(wire.ConfigureRequest(int(timing.clock_hz), stall, period), wire.ConfigureReply)
+        request = wire.ConfigureRequest(int(timing.clock_hz), stall, period)
+        self._ask(request, wire.ConfigureReply, renews=False)
         self._lost_session = False
 
 
