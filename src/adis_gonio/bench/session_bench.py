@@ -277,26 +277,19 @@ class SessionBench:
         If turns are recorded and `watched` is True, a stage that can move while scans are read only begins
         the move.
         """
-        stage = self.stage
-        scans = watched and self.settings.turns
-        if stage is None:
-            return False
+        # Methods of the stage that make a move, or only begin it, with their arguments.
+        makes, begins = "orient", "begin_orient"
+        to: tuple[Any, ...] = (move.direction,)
         if move.turned_deg is not None:
-            if not hasattr(stage, "begin_turn"):
-                return False
-            stage.begin_turn(move.turned_deg)
+            makes, begins, to = "begin_turn", "", (move.turned_deg,)
         elif move.angle_deg is not None:
-            if scans and hasattr(stage, "begin_move"):
-                self._moves_until_s = stage.begin_move(move.angle_deg, move.approach)
-            else:
-                stage.move_to(move.angle_deg, move.approach)
-        elif move.direction is not None and hasattr(stage, "orient"):
-            if scans and hasattr(stage, "begin_orient"):
-                self._moves_until_s = stage.begin_orient(move.direction)
-            else:
-                stage.orient(move.direction)
-        else:
+            makes, begins, to = "move_to", "begin_move", (move.angle_deg, move.approach)
+        if to[0] is None or not hasattr(self.stage, makes):
             return False
+        if watched and self.settings.turns and hasattr(self.stage, begins):
+            self._moves_until_s = getattr(self.stage, begins)(*to)
+        else:
+            getattr(self.stage, makes)(*to)
         return True
 
     # -- time -------------------------------------------------------------------------------------
