@@ -54,11 +54,11 @@ def test_a_write_that_did_nothing_or_went_the_wrong_way_never_passes(tmp_path):
         from adis_gonio.bench.writeback.offset_checks import measure
 
         nothing = measure(made.sensor, 0.5, 60.0)
-        missed += compare_effect(made._part, plan, made._before, nothing).agrees
+        missed += compare_effect(made._part, plan, made._planned[1], nothing).agrees
         for axis in plan.axes:  # the sign that doubles the bias
             made.sensor.write(axis.register, -axis.new)
         doubled = measure(made.sensor, 0.5, 60.0)
-        missed += compare_effect(made._part, plan, made._before, doubled).agrees
+        missed += compare_effect(made._part, plan, made._planned[1], doubled).agrees
         session = load_session(path)
         with ArchiveView(path) as view:
             angle = view.plan().positions[0].angle_deg

@@ -103,7 +103,7 @@ def test_what_force_adds_in_the_pose_of_the_write_is_not_taken_for_a_zero_rate(p
     bus = part()
     made = writer(bus, path)
     plan = made.plan()
-    rest = made._before
+    rest = made._planned[1]
     assert abs(rest.mean_dps[1] - FAULTS["gyro_bias_y_dps"]) > 0.15
     assert abs(plan.axes[1].bias_after) <= LSB / 2
     assert plan.axes[1].bias == pytest.approx(FAULTS["gyro_bias_y_dps"])
@@ -295,11 +295,12 @@ def test_an_autonull_that_agrees_in_this_pose_is_kept_and_counted(path):
     bus, told = part(), []
     made = writer(bus, path, tell=told.append)
     made.plan()
+    rest = made._planned[1]
     outcome = made.autonull()
     found = outcome.autonull
     assert found.agrees
     # Force along X goes into the chip's null of Y, and is accounted for.
-    assert abs(made._part.gyro.force_part(made._before.mean_mg / 1000)[1]) > 0.15
+    assert abs(made._part.gyro.force_part(rest.mean_mg / 1000)[1]) > 0.15
     assert np.abs(found.measured - found.expected).max() < 4 * found.u.max()
     assert (outcome.endurance_before, outcome.endurance_after) == (0, 1)
     assert gyro_numbers(bus) == gyro_flash(bus) != OLD
@@ -316,8 +317,8 @@ def test_without_the_g_sensitivity_the_same_null_would_be_refused(path, known):
     bus = part()
     made = writer(bus, path)
     made.plan()
+    force = made._part.gyro.force_part(made._planned[1].mean_mg / 1000)
     found = made.autonull().autonull
-    force = made._part.gyro.force_part(made._before.mean_mg / 1000)
     assert (np.abs(found.measured - found.expected + force) > 4 * found.u).any()
 
 

@@ -314,7 +314,7 @@ def test_a_part_whose_register_has_another_lsb_is_set_back(path):
     plan = made._part.plan(dict.fromkeys(("XACCL_OFF", "YACCL_OFF", "ZACCL_OFF"), 0))
     from adis_gonio.bench.writeback.offset_checks import measure
 
-    made._plan, made._before = plan, measure(made.sensor, 0.5, 60.0)
+    made._planned = plan, measure(made.sensor, 0.5, 60.0)
     with pytest.raises(VerifyError, match=r"not as planned.*the old offsets") as caught:
         made.write()
     assert "\n" not in str(caught.value)

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from adis_gonio.base.errors import SessionError
 from adis_gonio.base.jsonable import HIDDEN, NAMED_BY_UNIT, JsonRecord, key
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF, VARIANTS, variant
 from adis_gonio.fitting.slips.session_positions import sentences_of
 from adis_gonio.model.effects.base import AXES
@@ -25,8 +26,11 @@ from adis_gonio.record.provenance import changed_registers
 from adis_gonio.record.write_journal import Numbers
 
 if TYPE_CHECKING:
+    from adis_gonio.calibrate.calibration import Coefficient
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
     from adis_gonio.fitting import FitResult
+
+    Biases = Mapping[str, Value | Coefficient]
 
 UNITS = {"mg": "mg", "dps": "°/s"}
 """Unit in messages by the unit's name in JSON."""
@@ -167,15 +171,13 @@ def plan_offsets(session: Session, result: FitResult, now: Numbers) -> WritePlan
     SessionError
         The session gives no bias (two positions), or does not have the contents of the registers.
     """
-    recorded = recorded_offsets(session)
-    if not any(name in result for name in BIASES):
+    found = {name: result[bias] for name, bias in zip(ACCEL_OFF, BIASES, strict=True) if bias in result}
+    if not found:
         raise SessionError(
             f"{session.source}: method {result.method} gives no bias, so there is nothing to write; measure"
             " the opposite positions too (calibrate --plan four-position, mmpm or tumble)"
         )
-    given = zip(ACCEL_OFF, BIASES, strict=True)
-    found = {name: (result[bias].value, result[bias].u) for name, bias in given if bias in result}
-    return _plan(session, found, recorded, now, result.method, _lacks(session, result))
+    return _plan(session, found, now, result.method, _lacks(session, result))
 
 
 def plan_gyro_offsets(
@@ -198,10 +200,8 @@ def plan_gyro_offsets(
         The session does not have the contents of the registers, or a zero rate is out of the range of its
         register, which means that the gyro is broken or was not at rest.
     """
-    recorded = recorded_offsets(session, GYRO_OFF)
-    biases = zip(GYRO_OFF, (gyro[f"gyro_bias_{axis}"] for axis in AXES), strict=True)
-    found = {name: (bias.value, bias.u) for name, bias in biases}
-    plan = _plan(session, found, recorded, now, gyro.method, doubts)
+    found = {name: gyro[f"gyro_bias_{axis}"] for name, axis in zip(GYRO_OFF, AXES, strict=True)}
+    plan = _plan(session, found, now, gyro.method, doubts)
     for axis in plan.axes:
         if axis.clipped:
             low, high = BY_NAME[axis.register].range
@@ -213,27 +213,19 @@ def plan_gyro_offsets(
     return plan
 
 
-def _plan(
-    session: Session,
-    found: Mapping[str, tuple[float, float | None]],
-    recorded: Numbers,
-    held: Numbers,
-    method: str,
-    doubts: Sequence[str],
-) -> WritePlan:
+def _plan(session: Session, found: Biases, held: Numbers, method: str, doubts: Sequence[str]) -> WritePlan:
     """Return the plan that cancels biases.
 
-    `found` has each bias and its standard uncertainty (None if unknown), by the name of the register.
-    `recorded` and `held` have the numbers in the registers during the recording and now; `method` is the
-    method of the fit, and `doubts` are reasons to doubt it.
+    `found` has each bias by the name of the register, `held` the present numbers in the registers; `method`
+    is the method of the fit, and `doubts` are reasons to doubt it.
     """
-    axes = []
-    for name, (bias, u) in found.items():
+    axes, recorded = [], recorded_offsets(session, tuple(found))
+    for name, estimate in found.items():
         row = BY_NAME[name]
         lsb, _, unit = variant(session.sensor).lsb(row.kind)
+        bias, u = estimate.value, float("nan") if estimate.u is None else estimate.u
         wanted = recorded[name] - round(bias / lsb)
         new = min(max(wanted, row.range[0]), row.range[1])
-        u = float("nan") if u is None else u
         axis = AxisPlan(name[0].lower(), name, bias, u, recorded[name], held[name], new, lsb, new != wanted)
         axes.append(replace(axis, unit="mg" if unit == "mg" else "dps"))
     unsure = (text for axis in axes for text in _unsure(axis))

@@ -212,8 +212,7 @@ class OffsetWriter:
             Gyros(self.session) if own.gyros else Accelerometers(self.session, own.method, self._angle_deg)
         )
         recorded_offsets(self.session, self._part.registers)
-        self._plan: WritePlan | None = None
-        self._before: Rest | None = None
+        self._planned: tuple[WritePlan, Rest] | None = None
         self._checks: list[Agreement] = []
 
     # -- looking --------------------------------------------------------------------------------------
@@ -275,7 +274,7 @@ class OffsetWriter:
                 f"this does not look like the part of {self.path.name}, {check}; another part, or another"
                 " angle of the stage?"
             )
-        self._plan, self._before, self._checks = plan, before, [check]
+        self._planned, self._checks = (plan, before), [check]
         return plan
 
     # -- doing ----------------------------------------------------------------------------------------
@@ -292,9 +291,10 @@ class OffsetWriter:
         SessionError, ChipError, BusError, KeyboardInterrupt
             The write was interrupted. The message ends with the state of the sensor.
         """
-        plan, self._plan = self._plan, None
-        if plan is None:
+        planned, self._planned = self._planned, None
+        if planned is None:
             raise UsageError("make a plan first: plan() checks the numbers before they are written")
+        plan, before = planned
         now, endurance = self._read()
         if {name: now[name] for name in plan.now} != plan.now:
             raise SessionError("the offset registers have changed since the plan was made; plan again")
@@ -315,7 +315,7 @@ class OffsetWriter:
                     self._put(plan)
                 journal.note(WriteStep.WRITTEN)
                 if plan.changes:
-                    self._verify(plan)
+                    self._verify(plan, before)
                 journal.note(WriteStep.VERIFIED, checks=[check.as_dict() for check in self._checks])
                 if in_flash:
                     journal.note(WriteStep.SAVED, endurance=endurance, endurance_after=endurance)
@@ -377,10 +377,11 @@ class OffsetWriter:
         SessionError, ChipError, BusError, KeyboardInterrupt
             The autonull was interrupted. The message ends with the state of the sensor.
         """
-        plan, self._plan = self._plan, None
-        before, part = self._before, self._part
-        if plan is None or before is None or not isinstance(part, Gyros):
+        planned, self._planned = self._planned, None
+        part = self._part
+        if planned is None or not isinstance(part, Gyros):
             raise UsageError("make a plan of the gyros first: plan() measures the dwell for the comparison")
+        plan, before = planned
         now, endurance = self._read()
         if endurance + 1 >= FLASH_LIFE:
             raise ChipError(f"ENDURANCE is {endurance}: the flash is made for {FLASH_LIFE} writes")
@@ -418,19 +419,17 @@ class OffsetWriter:
         self._tell(f"written and read back: {_format_numbers(plan.new)}")
         self.sensor.bus.sleep_s(self.sensor.configuration().settling_s)
 
-    def _verify(self, plan: WritePlan) -> None:
-        """Compare a dwell after the write with the dwell before it and with the session.
+    def _verify(self, plan: WritePlan, before: Rest) -> None:
+        """Compare a dwell after the write with the dwell `before` it and with the session.
 
         Raises
         ------
         VerifyError
             The outputs did not change as planned.
         """
-        if self._before is None:
-            raise UsageError("make a plan first: plan() takes the dwell before")
         after = self._measure("at rest, after")
         done = plan.carried_out
-        checks = [compare_effect(self._part, plan, self._before, after), self._part.expected(done, after)]
+        checks = [compare_effect(self._part, plan, before, after), self._part.expected(done, after)]
         for check in checks:
             self._tell(str(check))
             if not check.agrees:
