@@ -128,16 +128,13 @@ class SpiBus(Closing):
     """Largest number of frames that the bus runs without a pause; None if there is no limit."""
 
     def __init__(self, timing: SpiTiming) -> None:
+        self.kind = type(self).__name__
+        """Name of the class of this bus, for a report."""
         self._timing = timing
         self._closed = False
         self._lock = threading.RLock()
 
     # -- public methods --------------------------------------------------------------------------
-
-    @property
-    def kind(self) -> str:
-        """Name of the class of this bus, for a report."""
-        return type(self).__name__
 
     @property
     def timing(self) -> SpiTiming:
@@ -346,35 +343,26 @@ class ForwardingBus(SpiBus):
     ----------
     inner : SpiBus
         The other bus; `close` also closes it.
+
+    Attributes
+    ----------
+    stage, world : object or None
+        Stage of the inner bus, which a program can move, and its simulated sensor and surroundings; None
+        without them.
+    virtual_time : bool
+        True if the clock of the inner bus advances only during calls.
     """
 
     def __init__(self, inner: SpiBus) -> None:
         super().__init__(inner.timing)
         self.inner = inner
-        self.url = inner.url
+        self.kind, self.url = inner.kind, inner.url
         self.capabilities = inner.capabilities
         self.edge_rises = inner.edge_rises
         self.unbroken_frames = inner.unbroken_frames
-
-    @property
-    def kind(self) -> str:
-        """Name of the class of the inner bus, for a report."""
-        return self.inner.kind
-
-    @property
-    def stage(self) -> Any:
-        """Stage of the inner bus, which a program can move; None if the inner bus has no such stage."""
-        return getattr(self.inner, "stage", None)
-
-    @property
-    def world(self) -> Any:
-        """Simulated sensor and surroundings of the inner bus; None if the inner bus is no simulator."""
-        return getattr(self.inner, "world", None)
-
-    @property
-    def virtual_time(self) -> bool:
-        """True if the clock of the inner bus advances only during calls."""
-        return bool(getattr(self.inner, "virtual_time", False))
+        self.stage: Any = getattr(inner, "stage", None)
+        self.world: Any = getattr(inner, "world", None)
+        self.virtual_time = bool(getattr(inner, "virtual_time", False))
 
     def forward(
         self,

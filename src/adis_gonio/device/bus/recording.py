@@ -184,16 +184,7 @@ class ObservedBus(ForwardingBus):
     def __init__(self, inner: SpiBus, note: Callable[[Call], object]) -> None:
         super().__init__(inner)
         self._note = note
-
-    @property
-    def stage(self) -> Any:
-        """Stage of the inner bus, with observed calls; None if that bus has no stage."""
-        return self._helper("stage")
-
-    @property
-    def world(self) -> Any:
-        """Simulated world of the inner bus, with observed calls; None if that bus has no world."""
-        return self._helper("world")
+        self.stage, self.world = (self._helper(name) for name in _HELPERS)
 
     def _helper(self, name: str) -> Any:
         helper = getattr(self.inner, name, None)
@@ -324,7 +315,7 @@ def _describe(helper: object) -> dict[str, Any] | None:
     kind = type(helper)
     methods = [name for name in dir(kind) if name[0] != "_" and callable(getattr(kind, name))]
     settings = getattr(helper, "settings", None)
-    return {"methods": methods, "settings": None if settings is None else asdict(settings)}
+    return {"methods": methods, "settings": None if settings is None else vars(settings)}
 
 
 def _stand_in(described: dict[str, Any] | None, call: Callable[..., Any]) -> Any:
@@ -451,7 +442,7 @@ class ReplayBus(SpiBus):
         super().__init__(SpiTiming(**header["timing"]))
         self.url = header["url"]
         self._path = path
-        self._kind: str = header["kind"]
+        self.kind = header["kind"]
         self.virtual_time = header["virtual_time"]
         self.stage, self.world = (self._helper(name, header["helpers"][name]) for name in _HELPERS)
         self.capabilities = frozenset(map(Capability, header["capabilities"]))
@@ -462,11 +453,6 @@ class ReplayBus(SpiBus):
         self._damage = f" (it {recording.damage})" if recording.damage else ""
         self._next = 0
         self._now_s = self._calls[0].begin_s if self._calls else 0.0
-
-    @property
-    def kind(self) -> str:
-        """Name of the class of the recorded bus, for a report."""
-        return self._kind
 
     def now_s(self) -> float:
         """Return the recorded time in s if the next recorded call reads the clock.
