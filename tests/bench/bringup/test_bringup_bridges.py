@@ -51,6 +51,12 @@ def test_the_firmware_finds_the_edge_that_leads_whichever_it_waits_for(options):
     assert found.bridge["firmware"]
 
 
+def test_a_bridge_that_polls_more_slowly_than_the_part_samples_shows_no_tones():
+    """Its scans come at even times, 1.18 sample periods apart, and skip updates."""
+    found = done("cp2130", names=("link", "bit errors", "noise"))
+    assert found.row("noise").verdict is Verdict.NOT_MEASURED
+
+
 def test_the_clocks_tried_are_the_bridges_own():
     found = done("cp2130", names=("link", "bit errors"))
     clocks = [figure.name for figure in found.row("bit errors").figures]
