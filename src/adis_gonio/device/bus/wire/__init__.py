@@ -85,25 +85,16 @@ class Receiver:
         self.bad: Counter[str] = Counter()
         self._cobs = load_cobs()
         self._rest = b""
-        self._too_long = False
 
     def feed(self, data: bytes) -> list[Packet]:
         """Return the packets that these bytes complete; invalid bytes never raise an error."""
         parts = (self._rest + data).split(_DELIMITER)
-        self._rest = parts.pop()
-        packets = []
-        for part in parts:
-            packet = self._take(part)
-            self._too_long = False
-            if packet is not None:
-                packets.append(packet)
-        if len(self._rest) > _LONGEST:  # endless invalid bytes must not fill the memory
-            self._too_long = True
-            self._rest = b""
-        return packets
+        # One byte too many marks a part as too long; endless invalid bytes must not fill the memory.
+        self._rest = parts.pop()[: _LONGEST + 1]
+        return [packet for part in parts if (packet := self._take(part)) is not None]
 
     def _take(self, part: bytes) -> Packet | None:
-        if self._too_long or len(part) > _LONGEST:
+        if len(part) > _LONGEST:
             self.bad["length"] += 1
             return None
         if not part:
