@@ -12,6 +12,7 @@ from __future__ import annotations
 import ctypes
 import errno
 import random
+import struct
 from collections import Counter
 from collections.abc import Callable
 
@@ -299,10 +300,7 @@ PARSERS: dict[str, Callable[[bytes], object]] = {
     ),
     "MCP2210 transfer": mcp2210_reports.progress,
     "MCP2210 mark": lambda data: mcp2210_reports.is_mark(data, 7),
-    "CP2130 frame": cp2130_requests.parse_frame,
-    "CP2130 SPI words": cp2130_requests.parse_spi_words,
-    "CP2130 chip selects": cp2130_requests.parse_selects,
-    "CP2130 counter": cp2130_requests.parse_counter,
+    "CP2130 chip selects": lambda data: cp2130_requests.unpack(data, struct.Struct(">HH"), "chip selects"),
     **{f"wire {body.__name__}": body.unpack for body in (*REPLIES, wire.Scans, wire.Error)},
 }
 HEADS = (0x11, 0x12, 0x20, 0x31, 0x41, 0x42, 0x50)

@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import struct
 from types import SimpleNamespace
 from typing import ClassVar
 
@@ -336,20 +337,18 @@ def test_a_frame_is_never_sent_again():
     assert [f.word for f in bench.chip.seen] == [0xA012]
 
 
-@pytest.mark.parametrize(
-    ("parse", "size"),
-    [(r.parse_frame, 2), (r.parse_counter, 3), (r.parse_selects, 4), (r.parse_spi_words, 11)],
-)
-def test_parsers_take_their_own_length_alone(parse, size):
-    parse(bytes(size))
-    for wrong in (size - 1, size + 1):
-        with pytest.raises(ProtocolError):
-            parse(bytes(wrong))
+@pytest.mark.parametrize("layout", [">H", ">BH", ">HH", "11B"])
+def test_a_reply_has_its_own_length_alone(layout):
+    layout = struct.Struct(layout)
+    assert set(r.unpack(bytes(layout.size), layout, "a reply")) == {0}
+    for wrong in (layout.size - 1, layout.size + 1):
+        with pytest.raises(ProtocolError, match=f"a reply of {wrong} bytes"):
+            r.unpack(bytes(wrong), layout, "a reply")
 
 
 @settings(deadline=None)
 @given(st.binary(max_size=70))
 def test_parsers_take_any_bytes(data):
-    for parse in (r.parse_frame, r.parse_counter, r.parse_selects, r.parse_spi_words):
+    for layout in (">H", ">BH", ">HH", "11B"):
         with contextlib.suppress(ProtocolError):
-            parse(data)
+            r.unpack(data, struct.Struct(layout), "a reply")

@@ -101,8 +101,11 @@ _OPEN_DRAIN = 1
 _THIS_ONE_ONLY = 2
 _WRITE_READ = 2
 _HEADER = struct.Struct("<HBBI")
+_FRAME = struct.Struct(">H")
 _COUNTER = struct.Struct(">BH")
+"""Mode and count of the event counter; the count wraps."""
 _SELECTS = struct.Struct(">HH")
+_SPI_WORDS = struct.Struct(f"{CHANNELS}B")
 
 
 def clock_code(clock_hz: float) -> int | None:
@@ -110,42 +113,11 @@ def clock_code(clock_hz: float) -> int | None:
     return next((code for code, clock in enumerate(CLOCKS_HZ) if clock <= clock_hz), None)
 
 
-def _sized(data: bytes, size: int, what: str) -> bytes:
-    """Return a reply of `size` bytes; raise `ProtocolError`, which names `what`, if it has another size."""
-    if len(data) != size:
-        raise ProtocolError(f"CP2130: {what} of {len(data)} bytes instead of {size}")
-    return data
-
-
-def parse_spi_words(data: bytes) -> tuple[int, ...]:
-    """Return the SPI configuration bytes of all channels, from the reply to `GET_SPI_WORD`."""
-    return tuple(_sized(data, CHANNELS, "SPI words"))
-
-
-def parse_selects(data: bytes) -> tuple[frozenset[int], frozenset[int]]:
-    """Return the channels whose chip select is enabled, and the pins that are chip selects, by number.
-
-    `data` is the reply to `GET_CHIP_SELECT`.
-    """
-    channels, pins = _SELECTS.unpack(_sized(data, _SELECTS.size, "chip selects"))
-    return (
-        frozenset(channel for channel in range(CHANNELS) if channels >> channel & 1),
-        frozenset(pin for pin, bit in enumerate(PIN_BITS) if pins >> bit & 1),
-    )
-
-
-def parse_frame(data: bytes) -> int:
-    """Return the 16-bit word that the chip sent during a frame, from the bulk reply of two bytes."""
-    return int.from_bytes(_sized(data, FRAME_BYTES, "a frame"), "big")
-
-
-def parse_counter(data: bytes) -> tuple[int, int]:
-    """Return mode and count of the event counter, from the reply to `GET_EVENT_COUNTER`.
-
-    The count has 16 bits and wraps.
-    """
-    mode, count = _COUNTER.unpack(_sized(data, _COUNTER.size, "an event counter"))
-    return mode & 7, count
+def unpack(data: bytes, layout: struct.Struct, what: str) -> tuple[int, ...]:
+    """Return the values in a reply; raise `ProtocolError`, which names `what`, if it has another size."""
+    if len(data) != layout.size:
+        raise ProtocolError(f"CP2130: {what} of {len(data)} bytes instead of {layout.size}")
+    return layout.unpack(data)
 
 
 _DRAIN_MS = 5
@@ -227,12 +199,14 @@ class Cp2130Bus(host.UsbBus):
         # If a scope shows CS rising between the two bytes of a frame, change this mask.
         self._out(ControlRequest.SET_SPI_DELAY, bytes((channel, *[0] * 7)))
         self._out(ControlRequest.SET_CHIP_SELECT, bytes((channel, _THIS_ONE_ONLY)))
-        if parse_spi_words(self._in(ControlRequest.GET_SPI_WORD, PACKET))[channel] != word:
+        words = unpack(self._in(ControlRequest.GET_SPI_WORD, PACKET), _SPI_WORDS, "SPI words")
+        if words[channel] != word:
             raise ProtocolError(f"{self.url}: the CP2130 did not take its SPI word")
-        channels, pins = parse_selects(self._in(ControlRequest.GET_CHIP_SELECT, PACKET))
-        if channels != {channel}:
+        selects = self._in(ControlRequest.GET_CHIP_SELECT, PACKET)
+        channels, pins = unpack(selects, _SELECTS, "chip selects")
+        if channels & (1 << CHANNELS) - 1 != 1 << channel:
             raise ProtocolError(f"{self.url}: the CP2130 did not take its chip select")
-        if channel not in pins:
+        if not pins >> PIN_BITS[channel] & 1:
             raise CannotOpenError(
                 f"{self.url}: GPIO.{channel} of this board is no chip select, by its OTP or until it is"
                 " plugged in again: wire CS to another and say which (?cs=)"
@@ -244,7 +218,7 @@ class Cp2130Bus(host.UsbBus):
         sent = self._call("a frame", self._device.write, self._out_endpoint, command, self._ms)
         if sent != len(command):
             raise ProtocolError(f"{self.url}: only {sent} of {len(command)} bytes of a command were sent")
-        return parse_frame(self._bulk_in(PACKET, self._options.timeout_s))
+        return unpack(self._bulk_in(PACKET, self._options.timeout_s), _FRAME, "a frame")[0]
 
     # -- optional capabilities ---------------------------------------------------------------------------
 
@@ -259,7 +233,9 @@ class Cp2130Bus(host.UsbBus):
             self._out(ControlRequest.SET_GPIO_MODE, bytes((self._options.reset_gpio, _OPEN_DRAIN, level)))
 
     def _counter(self) -> tuple[int, int]:
-        return parse_counter(self._in(ControlRequest.GET_EVENT_COUNTER, 3))
+        data = self._in(ControlRequest.GET_EVENT_COUNTER, 3)
+        mode, count = unpack(data, _COUNTER, "an event counter")
+        return mode & 7, count
 
     def _count_edges(self) -> int:
         """Return the number of data-ready edges since the last call, or since a later port reset."""
