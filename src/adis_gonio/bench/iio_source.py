@@ -84,8 +84,8 @@ class IioChannel:
         """Column of a session in which the channel is recorded; empty if there is none."""
         return COLUMNS.get(self.id, ("", 0.0))[0]
 
-    def values(self, numbers: np.ndarray) -> Floats:
-        """Convert raw numbers (n,) to values (n,) in the column's unit: mg, °/s, °C, V."""
+    def values(self, numbers: np.ndarray | float) -> Floats:
+        """Convert raw numbers of any shape to values in the column's unit: mg, °/s, °C, V."""
         return np.asarray((numbers + self.offset) * (COLUMNS[self.id][1] * self.scale))
 
 
@@ -412,6 +412,11 @@ class IioSource(SampleSource):
     rate_hz : float or None
         Sample rate in Hz of a device that does not state it; None takes the device's rate.
 
+    Attributes
+    ----------
+    channels, columns : tuple
+        Recorded channels, and the columns of a session that the blocks of samples have, in this order.
+
     Raises
     ------
     CannotOpenError
@@ -427,6 +432,7 @@ class IioSource(SampleSource):
         self._device = device
         self._zero_s = time.monotonic()
         self.channels = choose_channels(device.channels, url)
+        self.columns = tuple(channel.column for channel in self.channels)
         self._time = next((c for c in device.channels if c.id == TIMESTAMP and c.dtype), None)
         if poll_hz is None and any(channel.dtype is None for channel in self.channels):
             raise CannotOpenError(f"{url}: {device.name} has no buffer for all of its axes: add ?poll=HZ")
@@ -447,11 +453,6 @@ class IioSource(SampleSource):
         )
         step_mg = max(abs(float(np.ptp(c.values(np.array([0, 1]))))) for c in self.channels[:3])
         self.part = KnownPart(GENERIC, TYPICAL_BIAS_MG, step_mg)
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Columns of a session that the blocks of samples have, in order."""
-        return tuple(channel.column for channel in self.channels)
 
     def now_s(self) -> float:
         """Return the present time in s on the host's clock, 0 at opening."""
@@ -506,11 +507,6 @@ class IioStream(BlockStream[ValueBlock]):
         self._block = block_samples
         self._period_s = source.measuring.sample_period_s
 
-    def _values(self, numbers: Mapping[str, Any], time_s: Floats, lost: int) -> ValueBlock:
-        channels = self._source.channels
-        data = np.column_stack([channel.values(np.asarray(numbers[channel.id])) for channel in channels])
-        return ValueBlock(self._source.columns, data, time_s, lost)
-
 
 class BufferedSamples(IioStream):
     """Stream of scans that the device takes by its own clock and buffers."""
@@ -542,7 +538,8 @@ class BufferedSamples(IioStream):
             places = np.arange(self._count, self._count + count, dtype=np.float64)
             time_s, lost = np.asarray(self._begin_s + self._period_s * places, np.float64), 0
         self._count += count
-        return self._values(numbers, time_s, lost)
+        data = np.column_stack([one.values(numbers[one.id]) for one in self._source.channels])
+        return ValueBlock(self._source.columns, data, time_s, lost)
 
     def _times(self, stamps_ns: np.ndarray) -> tuple[Floats, int]:
         """Convert time stamps (n,) in ns to times on the source's clock in s, and count missing samples.
@@ -586,13 +583,11 @@ class PolledSamples(IioStream):
         for _ in range(self._block):
             source.sleep_s(max(0.0, self._due_s - source.now_s()))
             times.append(source.now_s())
-            rows.append([self._device.read_raw(channel.id) for channel in source.channels])
+            rows.append([one.values(self._device.read_raw(one.id)) for one in source.channels])
             behind = math.floor(max(0.0, (source.now_s() - self._due_s) / self._period_s - 1))
             lost += behind
             self._due_s += (1 + behind) * self._period_s
-        columns = np.array(rows).T
-        numbers = {channel.id: columns[k] for k, channel in enumerate(source.channels)}
-        return self._values(numbers, np.array(times), lost)
+        return ValueBlock(source.columns, np.array(rows), np.array(times), lost)
 
 
 def open_from_url(url: BusUrl) -> IioSource:

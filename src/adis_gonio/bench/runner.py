@@ -69,6 +69,8 @@ class SessionRunner(Operator):
     ----------
     bench : SessionBench
         Sensor and stage of the session.
+    judges_places : bool
+        True if each position is checked by gravity.
     """
 
     def __init__(
@@ -89,6 +91,7 @@ class SessionRunner(Operator):
         self._ran = False
         self._ledger = Ledger(archive, lambda: bench.now_s)
         self._recorder_type = RECORDERS.get(self._ledger.plan.name, DwellRecorder)
+        self.judges_places = self._recorder_type.judges_places
         self._knowledge = Knowledge(bench, self._ledger, judging=self.judges_places)
         self._questions = Questions(self, bench, self._ledger, self._knowledge, auto=auto)
         self._recorder = self._recorder_type(self._questions)
@@ -236,11 +239,6 @@ class SessionRunner(Operator):
         """Largest mean rate of a turn in °/s that suits the gyros' range; known after configuration."""
         # A hand is faster between two grips than in the mean.
         return 0.6 * float(self.bench.configuration.as_dict().get("gyro_range_dps") or 300.0)
-
-    @property
-    def judges_places(self) -> bool:
-        """True if each position is checked by gravity."""
-        return self._recorder_type.judges_places
 
     def run(self, *, so_far: bool = True) -> Iterator[Event]:
         """Run the session to its end; can be used once.

@@ -225,11 +225,6 @@ class Knowledge:
         if self.judge is not None:
             self.judge.turning.see(block)
 
-    @property
-    def limit_mg(self) -> Vector | None:
-        """Standard deviation in mg below which a window is still; None before the noise is known."""
-        return None if self.limits is None else vector(self.limits.upper)
-
     def angle_deg(self, accel_mg: Floats, target_deg: float | None) -> tuple[float | None, float | None]:
         """Return the present angle in the stage's sense and its tolerance, both in degrees.
 
@@ -266,7 +261,7 @@ class Knowledge:
             vector(spread_mg),
             angle_deg,
             target_deg,
-            self.limit_mg,
+            None if self.limits is None else vector(self.limits.upper),
             waits_for,
             self.temperature_c,
             self.lost,
