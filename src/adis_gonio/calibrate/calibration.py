@@ -244,7 +244,7 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
         """Return a copy of the parameters with the amounts `by` (by name) added to their values."""
         return tuple(replace(one, value=one.value + by.get(one.name, 0.0)) for one in self.parameters)
 
-    def _with_variance(
+    def with_variance(
         self,
         function: Callable[[Floats], Floats],
         difference: Callable[[Floats, Floats], Floats] = np.subtract,
@@ -463,7 +463,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
             found = dict(zip(self.names, values, strict=True))
             return np.asarray(found["scale_x"] / found.get("scale_y", 1.0) - 1)
 
-        value, variance = self._with_variance(ratio)
+        value, variance = self.with_variance(ratio)
         u = None if self.covariance is None else math.sqrt(variance)
         return Coefficient("delta_k", float(value), u, "1")
 
@@ -765,7 +765,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         readings, single = checked_readings(accel, self)
         conditions = self._conditions(len(readings), temperature_c, supply_v)
         values = self.values
-        angle, variance = self._with_variance(
+        angle, variance = self.with_variance(
             lambda values: shown(values, readings, conditions), _turn_between
         )
         now_c = None if temperature_c is None else conditions.temperature_c

@@ -303,7 +303,7 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         """
         rate, single = checked_rows("rate_dps", rate_dps, (3,), "°/s")
         conditions = self._conditions(len(rate), *felt)
-        value, variance = self._with_variance(
+        value, variance = self.with_variance(
             lambda values: function(self.by_kind(values), rate, *conditions)
         )
         at = 0 if single else slice(None)

@@ -23,8 +23,8 @@ from adis_gonio.base.arrays import Floats, central_differences
 from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.jsonable import NAMED_BY_UNIT, JsonRecord
 from adis_gonio.base.numbers import format_fixed, signed
-from adis_gonio.bench.writeback.offset_plan import BIASES, UNITS, WritePlan, plan_gyro_offsets, plan_offsets
-from adis_gonio.calibrate.calibration import STEP, independent_changes
+from adis_gonio.bench.writeback.offset_plan import UNITS, WritePlan, plan_gyro_offsets, plan_offsets
+from adis_gonio.calibrate.calibration import STEP
 from adis_gonio.device.sensor.driver import Adis16354
 from adis_gonio.device.sensor.registers import (
     ACCEL_OFF,
@@ -38,9 +38,9 @@ from adis_gonio.device.sensor.registers import (
 from adis_gonio.device.sensor.scanning import ScanStream
 from adis_gonio.device.sensor.settings import Configuration, ScanBlock, join, mean_at_rest, white_noise_gain
 from adis_gonio.fitting import fit
+from adis_gonio.fitting.fit_result import calibration_as_recorded
 from adis_gonio.fitting.gyros.gyro_fit import GyroFit, fit_gyro
 from adis_gonio.model.effects.base import AXES
-from adis_gonio.model.measurement import FreeAttitude, Measurement, PlanarTurn
 from adis_gonio.model.records import Session
 from adis_gonio.record.source import LEAST_SAMPLES
 from adis_gonio.record.stillness import NoiseMeter, StillnessWatch, limits_from_noise, window_samples
@@ -298,83 +298,59 @@ class Accelerometers:
             The fit lacks a parameter, or the sensor is not in the session's plane.
         """
         session, result = self.session, self.result
-        planar = session.plane == "xy"
-        model = PlanarTurn(session.gravity_mg) if planar else FreeAttitude(session.gravity_mg)
-        at, changes = self._known(model, plan, rest)
-        count, axes = len(model.parameters), model.axes
-        parts = (count, count + axes, count + 2 * axes)
-
-        def predicted(at: Floats) -> Floats:
-            base, bias, _, angle = np.split(at, parts)
-            return np.asarray(model.ideal(base, np.zeros(1), -angle)[0] + bias)
-
-        def left(at: Floats) -> Floats:
-            return np.asarray(np.split(at, parts)[2] - predicted(at))
-
-        def length(at: Floats) -> Floats:
-            base, bias, mean, _ = np.split(at, parts)
-            gravity = model.calibrated(base, (mean - bias)[None, :])
-            return np.asarray(session.gravity_mg * np.linalg.norm(gravity, axis=1))
-
-        declared = planar and "alpha" in result and math.isfinite(result.fixture_sigma_deg or 0.0)
-        if self.angle_deg is not None and declared:
-            where = f"readings at {self.angle_deg:g}° against the session"
-            u = _norms(central_differences(left, at, STEP, changes))
-            return Agreement(where, ("X", "Y"), left(at) + predicted(at), predicted(at), u)
-        value, gravity = length(at), np.array([session.gravity_mg])
-        if value[0] < 0.5 * gravity[0]:
-            raise FitError(
-                f"X and Y read {value[0]:.0f} mg of gravity together: set the part up as in the"
-                " session, its plane of rotation vertical"
-            )
-        what = "gravity's length by the session's calibration"
-        u = _norms(central_differences(length, at, STEP, changes))
-        return Agreement(what, ("|g|",), value, gravity, u)
-
-    def _known(self, model: Measurement, plan: WritePlan, rest: Rest) -> tuple[Floats, Floats]:
-        """Return the knowledge about a dwell as one vector (n,), and its independent changes (k, n).
-
-        The vector has the base parameters of the model in natural units, the biases with the present
-        offsets and the mean reading in mg, and the declared angle in rad. Skews and biases that a session
-        did not show are nominal in its fit. Each row of the changes is one standard uncertainty.
-
-        Raises
-        ------
-        FitError
-            The fit lacks a gain or all uncertainties.
-        """
-        session, result, axes = self.session, self.result, model.axes
-        rows = [(one.name, one.per_natural, one.nominal) for one in model.parameters]
-        rows += [(name, 1.0, 0.0) for name in BIASES[:axes]]
-        missing = [name for name, _, _ in rows if name.startswith("scale") and name not in result]
+        gains = [f"scale_{axis}" for axis in AXES[: 2 if session.plane == "xy" else 3]]
+        missing = [name for name in gains if name not in result]
         if missing or result.covariance is None:
             raise FitError(
                 f"{session.source}: the fit does not give {', '.join(missing) or 'uncertainties'}"
             )
-        fitted = [k for k, (name, _, _) in enumerate(rows) if name in result]
-        order = [result.names.index(rows[k][0]) for k in fitted]
-        scale = np.array([rows[k][1] for k in fitted])
+        own, axes = calibration_as_recorded(result), len(gains)
+        # Readings of the dwell if the offsets were those of the recording.
         offsets = {axis.axis: (axis.now - axis.recorded) * axis.lsb for axis in plan.axes}
-        at = np.zeros(len(rows) + axes + 1)
-        at[: len(rows)] = [nominal for _, _, nominal in rows]
-        at[fitted] = np.array([result[rows[k][0]].value for k in fitted]) / scale
-        at[len(model.parameters) : len(rows)] += [offsets.get(axis, 0.0) for axis in AXES[:axes]]
-        at[len(rows) : -1] = rest.mean_mg[:axes]
-        at[-1] = math.radians(self.angle_deg or 0.0)
-        covariance = np.zeros((len(at), len(at)))
-        known = np.asarray(result.covariance)[np.ix_(order, order)]
-        covariance[np.ix_(fitted, fitted)] = known / np.outer(scale, scale)
-        # The dwell is a sample of the sensor that the session saw, at another temperature.
-        then = [float(d.temperature_c.mean()) for d in session.dwells if d.temperature_c is not None]
-        wander = self.wander(rest.temperature_c - float(np.mean(then)) if then else 0.0, 0.0)
-        # An angle that is set again: a few positions cannot estimate its uncertainty, and a vernier cannot
-        # be read better than 0.05°.
-        more = 0.05 if session.fixture_sigma_deg is None else 0.0
+        moved = np.array([offsets.get(axis, 0.0) for axis in AXES[:axes]])
+        mean, u_mean = rest.mean_mg[:axes] - moved, self._u_of(rest)[:axes]
         fixture = result.fixture_sigma_deg or 0.0
-        sigma = math.radians(math.hypot(fixture, more)) if math.isfinite(fixture) else 0.0
-        own = [*np.hypot(rest.u_mg[:axes], math.hypot(wander, result.extra_mg)), sigma]
-        covariance[np.arange(len(rows), len(at)), np.arange(len(rows), len(at))] = np.square(own)
-        return at, independent_changes(covariance)
+        if self.angle_deg is not None and own.planar and "alpha" in result and math.isfinite(fixture):
+            # An angle that is set again: a few positions cannot estimate its uncertainty, and a vernier
+            # cannot be read better than 0.05°.
+            more = 0.05 if session.fixture_sigma_deg is None else 0.0
+            angle, u_angle = np.radians([[self.angle_deg], [math.hypot(fixture, more)]])
+
+            def predicted(values: Floats, angle: Floats) -> Floats:
+                base, bias = own.natural(values)
+                return np.asarray(own.measurement.ideal(base, np.zeros(1), -angle)[0] + bias)
+
+            value, variance = own.with_variance(lambda values: predicted(values, angle))
+            turn = central_differences(lambda at: predicted(own.values, at), angle, STEP, u_angle[None])
+            u = np.sqrt(variance + u_mean**2 + turn[:, 0] ** 2)
+            where = f"readings at {self.angle_deg:g}° against the session"
+            return Agreement(where, ("X", "Y"), mean + moved, value + moved, u)
+
+        def length(values: Floats, mean: Floats) -> Floats:
+            base, bias = own.natural(values)
+            gravity = own.measurement.calibrated(base, (mean - bias)[None, :])
+            return np.asarray(session.gravity_mg * np.linalg.norm(gravity, axis=1))
+
+        value, variance = own.with_variance(lambda values: length(values, mean))
+        if value[0] < 0.5 * session.gravity_mg:
+            raise FitError(
+                f"X and Y read {value[0]:.0f} mg of gravity together: set the part up as in the"
+                " session, its plane of rotation vertical"
+            )
+        noise = central_differences(lambda at: length(own.values, at), mean, STEP, np.diag(u_mean))
+        what = "gravity's length by the session's calibration"
+        u = np.sqrt(variance + (noise**2).sum(axis=-1))
+        return Agreement(what, ("|g|",), value, np.array([session.gravity_mg]), u)
+
+    def _u_of(self, rest: Rest) -> Floats:
+        """Return the standard uncertainty (3,) of a dwell's mean in mg, compared with the session.
+
+        The dwell is a sample of the sensor that the session saw, at another temperature.
+        """
+        seen = [dwell.temperature_c for dwell in self.session.dwells]
+        then = [float(temperature.mean()) for temperature in seen if temperature is not None]
+        wander = self.wander(rest.temperature_c - float(np.mean(then)) if then else 0.0, 0.0)
+        return np.hypot(rest.u_mg, math.hypot(wander, self.result.extra_mg))
 
     def outputs(self, rest: Rest) -> tuple[Floats, Floats]:
         """Return the mean reading (3,) of a dwell in mg, and its standard uncertainty."""
@@ -388,11 +364,6 @@ class Accelerometers:
         """
         floor = math.sqrt(2) * self.figures.bias_instability_mg
         return math.hypot(floor, self.figures.bias_tempco_mg_per_c * warmer_c)
-
-
-def _norms(slopes: Floats) -> Floats:
-    """Return the standard uncertainties (k,) by derivatives (k, n) along independent changes."""
-    return np.asarray(np.linalg.norm(slopes, axis=-1))
 
 
 class Gyros:
