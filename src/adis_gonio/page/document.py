@@ -124,27 +124,14 @@ Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 ROLES: tuple[Role, ...] = ("before", "after", "third", "fourth")
 _GROUND = "#fefefe"
-_COLOURS: dict[Role, str] = {
-    "before": "#b8500c",
-    "after": "#0b5cad",
-    "third": "#2d7a2d",
-    "fourth": "#8a3ffc",
-    "model": "#6b6b6b",
+_LOOKS: dict[Role, tuple[str, Any, str, float]] = {
+    "before": ("#b8500c", (0, (3.5, 1.7)), "o", 7.2),
+    "after": ("#0b5cad", "-", "o", 6.4),
+    "third": ("#2d7a2d", (0, (1.1, 1.7)), "s", 6.0),
+    "fourth": ("#8a3ffc", (0, (5, 1.7, 1.1, 1.7)), "^", 7.5),
+    "model": ("#6b6b6b", (0, (3.5, 2.7)), "o", 4.0),
 }
-_LINES: dict[Role, dict[str, Any]] = {
-    "before": {"linestyle": (0, (3.5, 1.7)), "linewidth": 1.8},
-    "after": {"linestyle": "-", "linewidth": 1.8},
-    "third": {"linestyle": (0, (1.1, 1.7)), "linewidth": 1.8},
-    "fourth": {"linestyle": (0, (5, 1.7, 1.1, 1.7)), "linewidth": 1.8},
-    "model": {"linestyle": (0, (3.5, 2.7)), "linewidth": 1.1},
-}
-_MARKERS: dict[Role, dict[str, Any]] = {
-    "before": {"marker": "o", "markersize": 7.2, "markerfacecolor": _GROUND, "markeredgewidth": 1.5},
-    "after": {"marker": "o", "markersize": 6.4, "markeredgewidth": 0},
-    "third": {"marker": "s", "markersize": 6.0, "markeredgewidth": 0},
-    "fourth": {"marker": "^", "markersize": 7.5, "markeredgewidth": 0},
-    "model": {"marker": "o", "markersize": 4.0, "markeredgewidth": 0},
-}
+"""Colour, style of a line, marker, and size of the marker in points of each role."""
 _MOST_MARKERS = 400
 """Largest number of points of a series with markers and error bars; more points are drawn as dots."""
 _MOST_POINTS = 2000
@@ -282,7 +269,7 @@ def plot(
         axes.spines[["left", "bottom"]].set(alpha=0.7, linewidth=1)
         axes.tick_params(length=0, pad=6)
         figure.savefig(drawing, format="svg", transparent=True, metadata={"Date": None})
-    colours = {colour: f"var(--{role}, {colour})" for role, colour in _COLOURS.items()}
+    colours = {colour: f"var(--{role}, {colour})" for role, (colour, *_) in _LOOKS.items()}
     colours |= {"#000000": "currentColor", _GROUND: "var(--ground, none)"}
     return inline_svg(drawing.getvalue(), colours, title=title, description=description)
 
@@ -307,14 +294,19 @@ def _clean(one: Series, x_log: bool, y_log: bool, x_range: tuple[float, float] |
 def _draw(axes: Axes, one: Series, points: Points, role: Role) -> Line2D:
     """Draw a series into the axes; return the line that represents it in the legend."""
     x, y, error = points
-    alike: dict[str, Any] = {"color": _COLOURS[role], "clip_on": False}
+    colour, dashes, marker, size = _LOOKS[role]
+    alike: dict[str, Any] = {"color": colour, "clip_on": False}
     if one.style != "points":
         stepped = "steps-post" if one.style == "steps" else "default"
         if error.any():
             band = np.concatenate([y - error, (y + error)[::-1]])
             axes.fill(np.concatenate([x, x[::-1]]), band, alpha=0.22, linewidth=0, **alike)
-        return axes.plot(x, y, label=one.label, drawstyle=stepped, **_LINES[role], **alike)[0]
-    marked: dict[str, Any] = {"label": one.label, "linestyle": "none", **_MARKERS[role], **alike}
+        alike |= {"linestyle": dashes, "linewidth": 1.1 if role == "model" else 1.8}
+        return axes.plot(x, y, label=one.label, drawstyle=stepped, **alike)[0]
+    shape: dict[str, Any] = {"marker": marker, "markersize": size, "markeredgewidth": 0}
+    if role == "before":  # a hollow circle
+        shape |= {"markerfacecolor": _GROUND, "markeredgewidth": 1.5}
+    marked: dict[str, Any] = {"label": one.label, "linestyle": "none", **shape, **alike}
     if len(x) > _MOST_MARKERS:
         # Strokes without length in one path take a third of the bytes of markers.
         dots: dict[str, Any] = {"alpha": 0.55, "linewidth": 2, "solid_capstyle": "round"}
