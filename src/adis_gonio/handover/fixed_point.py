@@ -349,7 +349,10 @@ _FORMS: dict[str, tuple[float, tuple[str, ...]]] = {
     "gyro_bias_temperature2": (SPAN_C**2, ("t", "t")),
     "gyro_bias_temperature3": (SPAN_C**3, ("t", "t", "t")),
     "gyro_supply": (SPAN_V, ("v",)),
+    "g_sensitivity": (1.0, ("f",)),
+    "g2_sensitivity": (1.0, ("f", "f")),
 }
+"""Unit and factors of the monomial of each gyro parameter by kind; `f` is the force along its axis."""
 
 
 def rate_polynomial_of(calibration: Calibration, gyro: GyroCalibration) -> Polynomial:
@@ -371,18 +374,14 @@ def rate_polynomial_of(calibration: Calibration, gyro: GyroCalibration) -> Polyn
         raise FitError("gains of the gyros are too far from 1 for a fixed-point header")
     terms, warm = [], [0.0, 0.0, 0.0]
     for one in gyro.parameters:
-        kind, axes = KIND_OF.get(one.name, ""), one.name.rpartition("_")[2]
+        kind, axes = KIND_OF[one.name], one.name.rpartition("_")[2]
         own = AXES.index(axes[0])
-        if one.value == 0.0:
-            continue
-        if kind in _FORMS:
-            span, factors = _FORMS[kind]
-            terms.append(Monomial(own, one.value * span, factors))
-        elif kind in ("g_sensitivity", "g2_sensitivity"):
-            power = 1 if kind == "g_sensitivity" else 2
-            terms.append(Monomial(own, one.value, (f"f{axes[1]}",) * power))
-        elif kind == "gyro_scale_temperature":
+        if kind == "gyro_scale_temperature":
             warm[own] = 1e-6 * one.value * SPAN_C
+        elif kind in _FORMS and one.value:
+            span, factors = _FORMS[kind]
+            named = tuple(f"f{axes[1]}" if factor == "f" else factor for factor in factors)
+            terms.append(Monomial(own, one.value * span, named))
     if max(map(abs, warm)) > 0.5:
         raise FitError("a gyro's gain follows the temperature too much: check the session")
     made = Polynomial(
