@@ -28,7 +28,7 @@ from adis_gonio.base.numbers import (
     counted,
 )
 from adis_gonio.base.uncertainty import OUTLYING, wilson
-from adis_gonio.fleet.session_record import QUANTITIES, Row
+from adis_gonio.fleet.session_record import ANGLE, QUANTITIES, Row
 
 PROBABILITIES = (0.025, 0.05, 0.25, 0.5, 0.75, 0.95, 0.975)
 
@@ -359,12 +359,6 @@ FORMAT = "adis-gonio fleet summary 1"
 KINDS = ("unit", "stage", "operator")
 GROUPS = {"unit": "serial", "stage": "stage", "operator": "operator"}
 """Name of the table's column that names the groups, by kind of group."""
-_RMS = "angle"
-"""Name of the quantity that is the rms error of the angle.
-
-Its logarithm is compared between groups. It has no standard uncertainty here, because the stated u is that
-of a displayed angle.
-"""
 
 
 class Frequency(JsonRecord):
@@ -499,9 +493,10 @@ def _own_u(rows: Sequence[Row], name: str, values: Floats) -> Floats:
     """Return the standard uncertainties (n,) of a quantity for comparisons of sessions; NaN if unknown.
 
     If all sessions have the certificate of one stage, its errors are left out, since they change all values
-    together. `name` is the quantity with the values `values` (n,).
+    together. The error of the angle has no u here, because the stated u belongs to a displayed angle.
+    `name` is the quantity with the values `values` (n,).
     """
-    if name == _RMS:
+    if name == ANGLE:
         return np.full(len(rows), np.nan)
     u = _numbers(rows, f"{name}_u")
     known = np.isfinite(u) & np.isfinite(values)
@@ -518,7 +513,7 @@ def _comparisons(name: str, values: Floats, u: Floats, groups: Mapping[str, Code
     `values`, `u` (n,) are the values of the quantity `name` and their standard uncertainties. `groups` has
     the number of each session's group by kind.
     """
-    if name == _RMS:
+    if name == ANGLE:  # it is positive, and scatters by a factor
         values = np.log(values, out=np.full(len(values), np.nan), where=values > 0)
     unit = groups["unit"]
     ranks = [by_rank(kind, name, values, groups[kind], unit) for kind in KINDS[1:]]
@@ -527,7 +522,7 @@ def _comparisons(name: str, values: Floats, u: Floats, groups: Mapping[str, Code
 
 def _named(test: Outlying, tests: int, name: str) -> Outlying:
     """Return one of `tests` tests with the name of the group, its unit and the adjusted p-value."""
-    if test.quantity == _RMS:  # compared by its logarithm
+    if test.quantity == ANGLE:  # compared by its logarithm
         test = replace(test, value=math.exp(test.value), others=math.exp(test.others))
     unit = QUANTITIES.get(test.quantity, "1")  # a share has no unit
     return replace(test, name=name, unit=unit, adjusted_p=min(1.0, tests * test.p_value))

@@ -417,8 +417,8 @@ Row = Mapping[str, Any]
 def _of_quantities() -> dict[str, tuple[Kind, str, str]]:
     columns: dict[str, tuple[Kind, str, str]] = {}
     for name, unit in QUANTITIES.items():
-        what = "error of the angle, rms over held-out dwells" if name == "angle" else name
-        own = "a displayed angle" if name == "angle" else name
+        what = "error of the angle, rms over held-out dwells" if name == ANGLE else name
+        own = "a displayed angle" if name == ANGLE else name
         columns |= {
             name: ("number", unit, what),
             f"{name}_u": ("number", unit, f"standard uncertainty of {own}"),
