@@ -47,6 +47,7 @@ from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.answer import MethodComparison, Recommendation, Score
 from adis_gonio.fitting.estimation.readings import mg_per_unit
 from adis_gonio.fitting.fit_result import FitResult, Output, values_of, variances
+from adis_gonio.fitting.methods import FREE_TURN
 from adis_gonio.fitting.uncertainty import Kind, ShownAngle, Source, Sources, gradient_of_base
 from adis_gonio.model.measurement import SENSOR_SPREAD
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Session, Sweeps
@@ -345,14 +346,6 @@ class LeastSquaresProblem:
         steps[rows, self.size - self.m + rows + 1] = 1.0
         return self.reading - linear, -(steps @ values), jacobian, steps
 
-    def walk(self, variances: Variances) -> Floats:
-        """Return the variance (m − 1,) in rad² that gyro noise adds between neighbouring windows.
-
-        It is the variance of the change of the angle from one window's centre to the next.
-        """
-        gap = self.windows.gap_s
-        return variances.gyro * np.diff(self.windows.centre_s) + np.square(_GAP_RATE * gap)
-
 
 def drift_functions(time_s: Floats, length_s: float, floor: float, most: int) -> tuple[Floats, Floats]:
     """Return functions of time (n, k) that describe a drift, and the prior variance (k,) of each.
@@ -443,9 +436,9 @@ def _whitened(problem: LeastSquaresProblem, values: Floats, variances: Variances
     # The priors of the drifts have the fitted size of the drifts.
     prior = variance.copy()
     prior[problem.drift_rows] *= variances.drift
-    weights = 1 / np.sqrt(
-        np.concatenate([np.repeat(variances.accel_mg2, 2), problem.walk(variances), prior])
-    )
+    # Change of the angle from one window's centre to the next by noise of the gyro and missing samples.
+    walk = variances.gyro * np.diff(problem.windows.centre_s) + (_GAP_RATE * problem.windows.gap_s) ** 2
+    weights = 1 / np.sqrt(np.concatenate([np.repeat(variances.accel_mg2, 2), walk, prior]))
     known = np.eye(len(mean), problem.size)
     rows = np.concatenate([by_accel.reshape(-1, problem.size), by_gyro, known])
     left = np.concatenate([accel.ravel(), gyro, mean - values[: len(mean)]])
@@ -528,8 +521,6 @@ def _finished(problem: LeastSquaresProblem, values: Floats, variances: Variances
     psi_rad, residual_mg = values[-problem.m :].copy(), problem.model(values)[0]
     return Solution(values[: problem.common].copy(), psi_rad, Sources(sources), variances, residual_mg)
 
-
-__all__ = ["METHOD", "FreeTurnResult", "fit_free_turn"]
 
 LEAST_S = 10.0
 """Shortest recording in s: a shorter one contains no slow turn."""
@@ -679,8 +670,6 @@ def remarks(windows: Windows, psi_rad: Floats, u_phi_deg: float, wanted: int = 0
     return notes
 
 
-METHOD = "free-turn"
-
 WHY = "a free turn without declared angles: gravity and gyro together are all that it has"
 UNSEEN = (
     "the angle is counted from the start, the angle alpha; a zero of the stage was not declared",
@@ -696,7 +685,7 @@ class FreeTurnResult(FitResult):
     def comparison(self) -> MethodComparison:
         """Comparison that lists only the method `free-turn`; no other method fits such a recording."""
         return MethodComparison(
-            (self,), {}, {}, {METHOD: Score(None, None, None, None, 0)}, Recommendation(METHOD, WHY)
+            (self,), {}, {}, {FREE_TURN: Score(None, None, None, None, 0)}, Recommendation(FREE_TURN, WHY)
         )
 
 
@@ -749,7 +738,7 @@ def _fitted(session: Session) -> FreeTurnResult:
     notes += remarks(windows, solution.psi_rad, parameters["delta_phi"].u or 0.0, wanted)
     accel = solution.residual_mg
     return FreeTurnResult(
-        method=METHOD,
+        method=FREE_TURN,
         parameters=parameters,
         covariance=variances(outputs, sources.covariance),
         chi2=float((accel**2 / solution.variances.accel_mg2[:, None]).sum()),

@@ -510,18 +510,13 @@ def linked_readings(
     """Add the links that agree with gravity to the readings of a session in space, and report on all links.
 
     The second value is None, and the readings are returned unchanged, if nothing was recorded between the
-    poses. `gyros` is a calibration from another session; without it the data sheet is used, and the result
-    is computed only once for each session.
+    poses. `gyros` is a calibration from another session; without it the data sheet is used.
 
     Raises
     ------
     UsageError
         A calibration of gyros was given for a session that cannot use it.
     """
-    return session.once(_linked) if gyros is None else _linked(session, gyros)
-
-
-def _linked(session: Session, gyros: GyroCalibration | None = None) -> tuple[Readings, LinkReport | None]:
     readings = readings_of(session)
     if readings.planar or readings.check.all():
         if gyros is not None:

@@ -391,25 +391,20 @@ def _paper(first: Floats, second: Floats, weights: Floats) -> tuple[Floats, Floa
 
 
 def turn_parameters(harmonics: Floats) -> Floats:
-    """Return α, K_x, K_y, Δφ and both biases (…, 6) from cosine, sine and constant of each axis.
+    """Return α, K_x, K_y, Δφ and both biases (6,) from cosine, sine and constant of each axis.
 
     Angles are in rad, biases in local gravity.
 
     Parameters
     ----------
-    harmonics : (…, 3, 2) or (…, 2, 2) float
+    harmonics : (3, 2) or (2, 2) float
         Amplitudes A (cosine) and B (sine) of X and Y in local gravity, then the biases if the fit has them;
         otherwise the biases are 0.
     """
-    a_x, b_x, a_y, b_y = (harmonics[..., k, axis] for axis in (0, 1) for k in (0, 1))
-    parameters = np.zeros((*harmonics.shape[:-2], 6))
-    alpha, alpha_y = np.arctan2(b_x, a_x), np.arctan2(a_y, -b_y)
-    parameters[..., ALPHA] = alpha
-    parameters[..., DELTA_PHI] = wrap_radians(alpha_y - alpha)
-    parameters[..., SCALE_X], parameters[..., SCALE_Y] = np.hypot(a_x, b_x), np.hypot(a_y, b_y)
-    if harmonics.shape[-2] > 2:
-        parameters[..., BIAS_X:] = harmonics[..., 2, :]
-    return parameters
+    (a_x, a_y), (b_x, b_y), *bias = harmonics.tolist()
+    alpha, alpha_y = math.atan2(b_x, a_x), math.atan2(a_y, -b_y)
+    gains = math.hypot(a_x, b_x), math.hypot(a_y, b_y)
+    return np.array([alpha, *gains, wrap_radians(alpha_y - alpha), *(bias[0] if bias else (0.0, 0.0))])
 
 
 def _linear(readings: Readings, method: str, angles_deg: tuple[int, ...] | None, *, bias: bool) -> _Linear:
@@ -613,7 +608,7 @@ def fit(session: Session, method: str | None = None, gyros: GyroCalibration | No
             f"{session.source or 'session'}: method {method} needs positions; this is one continuous turn:"
             " use method free-turn"
         )
-    readings, links = linked_readings(session, gyros)
+    readings, links = session.once(linked_readings, gyros)
     current().tell(f"method {method}" if method else "the best method")
     try:
         result = fit_of(readings, method)

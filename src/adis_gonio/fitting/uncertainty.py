@@ -130,17 +130,13 @@ class Source:
         reading : (m, axes) float, optional
             Derivative of the m values by one further reading, per mg; without it only the parameters count.
         """
-        m = len(gradient)
         # Parts are independent: their mean squares over the m values add up.
-        variance = (self._moved(gradient, reading) ** 2).sum(axis=0) / m
+        *variance, own = self.variances(gradient, reading).mean(axis=0).tolist()
         estimate, dof = (np.broadcast_to(one, len(variance)).tolist() for one in (self.estimate, self.dof))
-        found = list(zip(estimate, dof, variance.tolist(), strict=True))
-        if reading is not None and self.reading_mg2 is not None and self.reading_mg2.any():
-            # A further reading brings its own noise, with the degrees of freedom of the largest part.
-            own = float(np.einsum("ma,ab,mb->", reading, self.reading_mg2, reading)) / m
-            where = max(found, key=lambda part: part[2], default=(_POOLED, math.inf, 0.0))
-            found.append((where[0], where[1], own))
-        return found
+        found = list(zip(estimate, dof, variance, strict=True))
+        # A further reading brings its own noise, with the degrees of freedom of the largest part.
+        where = max(found, key=lambda part: part[2], default=(_POOLED, math.inf, 0.0))
+        return [*found, (where[0], where[1], own)] if own else found
 
     def _moved(self, gradient: Floats, reading: Floats | None) -> Floats:
         """Return the change (m, k) of m quantities by one standard uncertainty of each of k components.
@@ -153,16 +149,16 @@ class Source:
             moved = moved + reading @ self.further_mg
         return np.asarray(moved)
 
-    def by_place(self, gradient: Floats, reading: Floats | None = None) -> Floats:
-        """Return the variance (m,) that the source contributes to each of m quantities, such as m angles.
+    def variances(self, gradient: Floats, reading: Floats | None = None) -> Floats:
+        """Return the variance (m, k + 1) of m quantities by each component and by a reading's own noise.
 
         `gradient` (m, p) and `reading` (m, axes) are the derivatives of the quantities by the parameters
         and by a further reading (None: the parameters alone).
         """
-        variance = np.asarray((self._moved(gradient, reading) ** 2).sum(axis=1))
-        if reading is None or self.reading_mg2 is None:
-            return variance
-        return np.asarray(variance + np.einsum("ma,ab,mb->m", reading, self.reading_mg2, reading))
+        own = np.zeros(len(gradient))
+        if reading is not None and self.reading_mg2 is not None:
+            own = np.einsum("ma,ab,mb->m", reading, self.reading_mg2, reading)
+        return np.column_stack([self._moved(gradient, reading) ** 2, own])
 
 
 @dataclass(frozen=True)
@@ -196,7 +192,7 @@ class Sources:
         `gradient` (m, p) and `reading` (m, axes) are the derivatives of the quantities by the parameters
         and by a further reading, to which the calibration is applied (None: the parameters alone).
         """
-        return np.asarray(sum(source.by_place(gradient, reading) for source in self._counted))
+        return np.asarray(sum(one.variances(gradient, reading).sum(axis=1) for one in self._counted))
 
     def roots(self, gradient: Floats, reading: Floats) -> Floats:
         """Return the change (m, k) of m quantities by one standard uncertainty of each of k components.

@@ -570,12 +570,12 @@ def test_links_are_worked_out_once_a_session_and_anew_by_a_calibration(
 ) -> None:
     session, world = simulated
     session = _first(session, 5)
-    once = linked_readings(session)
-    assert linked_readings(session)[1] is once[1]
+    once = session.once(linked_readings, None)
+    assert fit(session).links is once[1]
     by_calibration = linked_readings(session, _calibrated(world))
     assert by_calibration[1] is not None
     assert by_calibration[1].calibrated
-    assert linked_readings(session)[1] is once[1]
+    assert fit(session).links is once[1]
     assert once[1] is not None
     assert not once[1].calibrated
 
