@@ -567,9 +567,6 @@ FREE_TURN = "free-turn"
 """Name of the method for a continuous recording (`adis_gonio.fitting.free_turn`), which has no
 positions."""
 
-_TWO_REVERSED = (0, 270)
-"""Declared angles in degrees of the two positions if the stage turned opposite to the declared sense."""
-
 
 @solvable
 def fit(session: Session, method: str | None = None, gyros: GyroCalibration | None = None) -> FitResult:
@@ -700,10 +697,11 @@ def has_enough(readings: Readings) -> bool:
 def _two(readings: Readings) -> tuple[int, int]:
     """Return the angles in degrees of the two positions for the method `two-position`: (0, 90) or (0, 270).
 
-    Its equations are exact for any two positions a quarter turn apart.
+    Its equations are exact for any two positions a quarter turn apart. There are 0° and 270° if the stage
+    turned opposite to the declared sense.
     """
     at_0, at_90, at_270 = map(len, rows_at(readings, (0, 90, 270)))
-    return _TWO_REVERSED if at_0 and at_270 and not at_90 else TWO
+    return (0, 270) if at_0 and at_270 and not at_90 else TWO
 
 
 def default_method(readings: Readings) -> str:

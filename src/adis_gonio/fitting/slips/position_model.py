@@ -178,12 +178,7 @@ class Rows:
 
 
 def common_zero(angle_rad: Floats) -> float:
-    """Return the median of angles (n,) on the circle: the angle with the least sum of distances to all.
-
-    0 without angles.
-    """
-    if not len(angle_rad):
-        return 0.0
+    """Return the median of angles (n,) on the circle: the angle with the least sum of distances to all."""
     apart = np.abs(wrap_radians(angle_rad[:, None] - angle_rad[None, :])).sum(axis=0)
     return float(angle_rad[int(np.argmin(apart))])
 
