@@ -53,9 +53,16 @@ def test_a_file_that_is_neither_calibration_nor_session_is_refused(tmp_path):
         offset_words_in(path)
 
 
-def test_a_calibration_without_biases_and_zero_rates_of_a_part_gives_no_offsets(tmp_path):
-    calibration(PLANE, sensor="generic").save(tmp_path / "own.json")
-    with pytest.raises(FitError, match="neither biases nor zero rates of a part"):
+@pytest.mark.parametrize(
+    ("made", "reason"),
+    [
+        (calibration(PLANE, sensor="generic"), "belong to an ADIS16350"),
+        (calibration({**PLANE, "bias_x": 970.0}), "XACCL_OFF holds -2048 to 2047"),
+    ],
+)
+def test_a_calibration_that_gives_no_offsets_is_refused_with_the_reason(made, reason, tmp_path):
+    made.save(tmp_path / "own.json")
+    with pytest.raises(FitError, match=reason):
         offset_words_in(tmp_path / "own.json")
 
 

@@ -131,25 +131,23 @@ def offset_words_in(path: str | Path) -> tuple[OffsetWord, ...]:
     DataError
         The file is neither a calibration nor a session.
     FitError
-        The file determines neither biases nor zero rates.
+        The file determines neither biases nor zero rates, or one is too large for its register.
     """
     try:
         calibration = load_calibration(path)
-        words = () if calibration.gyro is None else gyro_offset_words(calibration.gyro)
-        try:
-            return (*words, *offset_words(calibration))
-        except FitError:
-            if words:
-                return words
-            raise FitError(
-                "the calibration gives no offsets: neither biases nor zero rates of a part"
-            ) from None
     except (DataError, FitError) as error:
         try:
             gyro = load_gyro_calibration(path)
         except AdisGonioError:
             raise error from None
         return gyro_offset_words(gyro)
+    words = () if calibration.gyro is None else gyro_offset_words(calibration.gyro)
+    try:
+        return (*words, *offset_words(calibration))
+    except FitError:
+        if not words:
+            raise
+        return words
 
 
 def registers_text(calibration: Calibration) -> str:
