@@ -22,7 +22,7 @@ from unittest import mock
 import numpy as np
 
 from adis_gonio.base import output
-from adis_gonio.bench import dwell_recorder, runner
+from adis_gonio.bench import dwell_recorder
 from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.bench.writeback import offset_writer
 from adis_gonio.device.bus.contract import SpiBus
@@ -418,7 +418,7 @@ DEFECTS: dict[str, Defect] = {
     ),
     "no guards": Defect(
         "a part that was not moved, or moved the wrong way, is not noticed",
-        runner.SessionRunner, "judges_places", False,
+        dwell_recorder.DwellRecorder, "judges_places", False,
         differs=None, reached=lambda look: look.clumsy,
         needs=_fails,
     ),
