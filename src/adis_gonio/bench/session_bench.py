@@ -82,6 +82,12 @@ class SessionBench:
     stage, world : object or None
         Stage that the program can move, and simulated world, whose method `truth(time_s)` returns the true
         parameters by name, averaged over the times in s; None without them.
+    simulated : bool
+        True if the sensor is simulated, so that its true parameters are known.
+    virtual_time : bool
+        True for a simulated sensor with a clock that advances only during calls.
+    replayed : bool
+        True if a recording answers instead of a sensor, with the answers of the operator.
     scanning : dict of str to str
         Method by which scans are read, as texts `how` and `caveat`; empty before the first scan.
     """
@@ -91,29 +97,14 @@ class SessionBench:
         self.settings = settings
         self.stage: MovableStage | None = source.stage
         self.world: Any = source.world
+        self.simulated = source.world is not None
+        bus = getattr(getattr(source, "sensor", None), "bus", None)
+        self.virtual_time = bool(getattr(bus, "virtual_time", False))
+        self.replayed = bool(getattr(bus, "replayed", False))
         self._stream: SampleStream | None = None
         self._moves_until_s = -math.inf
         self.scanning: JsonDict = {}
         self._held: dict[str, int] = {}
-
-    @property
-    def simulated(self) -> bool:
-        """True if the sensor is simulated, so that its true parameters are known."""
-        return self.world is not None
-
-    @property
-    def virtual_time(self) -> bool:
-        """True for a simulated sensor with a clock that advances only during calls."""
-        return bool(self._bus_fact("virtual_time"))
-
-    @property
-    def replayed(self) -> bool:
-        """True if a recording answers instead of a sensor, with the answers of the operator."""
-        return bool(self._bus_fact("replayed"))
-
-    def _bus_fact(self, name: str) -> object:
-        sensor = getattr(self.source, "sensor", None)
-        return getattr(getattr(sensor, "bus", None), name, False)
 
     @property
     def now_s(self) -> float:
