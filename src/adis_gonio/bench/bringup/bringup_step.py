@@ -24,7 +24,7 @@ from adis_gonio.base.jsonable import JsonRecord, key
 from adis_gonio.device.bus import SpiBus, SpiTiming, Words
 from adis_gonio.device.bus.recording import Call, ObservedBus
 from adis_gonio.device.sensor.driver import Adis16354, Undo
-from adis_gonio.device.sensor.registers import IDLE, VARIANTS, Register, register
+from adis_gonio.device.sensor.registers import IDLE, VARIANTS, Register, read_frames, register
 from adis_gonio.device.sensor.settings import ScanBlock, join
 
 _PART = VARIANTS["adis16354"]
@@ -505,9 +505,7 @@ class BringupBench:
         """
         if self.bus.unbroken_frames is not None:
             count = min(count, self.bus.unbroken_frames - 1)
-        frame = (register(name).address & 0x3F) << 8
-        frames = np.full(count + 1, frame, np.uint16)
-        frames[-1] = IDLE
+        frames = np.append(np.repeat(read_frames([register(name)]), count), np.uint16(IDLE))
         begin_s = self.bus.now_s()
         replies = self.bus.exchange_array(frames)
         took_s = (self.bus.now_s() - begin_s) / (count + 1)

@@ -88,8 +88,7 @@ def check_link(bench: BringupBench, found: StepResult) -> Ending:
 
     Tests also if a known wiring error explains the replies.
     """
-    frames = np.append(np.tile(read_frames(_CONSTANT), _PASSES), np.uint16(IDLE))
-    words = bench.bus.exchange_array(frames)[1:].reshape(_PASSES, -1)
+    words, _ = _read_constants(bench, _PASSES)
     first = [int(word) for word in words[0]]
     found.measure("control registers read", len(first), expected=len(_CONSTANT))
     problem = _unreadable(words)
@@ -197,7 +196,7 @@ def count_bit_errors(bench: BringupBench, found: StepResult) -> Ending:
     bad = total = 0
     for clock in clocks:
         timing = bench.bus.inner.configure(dataclasses.replace(limit, clock_hz=clock))
-        words, frame_us = _read_constants(bench)
+        words, frame_us = _read_constants(bench, -(-READS // len(_CONSTANT)))
         if not clean:  # the majority at the slowest clock is the truth
             expected = _majority(words)
         bad, total = int(np.count_nonzero(words != expected)), total + words.size
@@ -209,7 +208,7 @@ def count_bit_errors(bench: BringupBench, found: StepResult) -> Ending:
     bench.bus.inner.configure(dataclasses.replace(limit, clock_hz=clocks[0]))
     changed: list[str] = []
     if bad and clean:
-        now = _majority(_read_constants(bench)[0])
+        now = _majority(_read_constants(bench, len(words))[0])
         changed = [row.name for row, a, b in zip(_CONSTANT, expected, now, strict=True) if a != b]
     bench.bus.ceiling_hz = max(clean, default=clocks[0])
     bench.refresh()
@@ -247,12 +246,11 @@ def _offered(bench: BringupBench, most_hz: float, limit: SpiTiming) -> list[floa
     return sorted(clock for clock in found if clock <= most_hz)
 
 
-def _read_constants(bench: BringupBench) -> tuple[Words, float]:
-    """Read about `READS` words of constant registers.
+def _read_constants(bench: BringupBench, passes: int) -> tuple[Words, float]:
+    """Read the constant registers in `passes` passes.
 
     Returns the words (passes, registers), and the time of a frame in µs.
     """
-    passes = -(-READS // len(_CONSTANT))
     frames = np.append(np.tile(read_frames(_CONSTANT), passes), np.uint16(IDLE))
     begin_s = bench.bus.now_s()
     words = bench.bus.exchange_array(frames)[1:].reshape(passes, -1)
