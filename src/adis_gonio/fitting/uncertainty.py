@@ -306,14 +306,9 @@ def _links(fit: Fit, rotation: Floats) -> Source:
     """
     links = fit.data.links
     assert links is not None
-    # Covariance of the parameters from the own errors of all links.
-    flat = rotation.reshape(len(rotation), -1)
-    own = flat @ links.own_covariance @ flat.T
-    size, axes = np.linalg.eigh((own + own.T) / 2)
-    # Parts of one source are independent: any root of their covariance is one.
-    moves = np.concatenate(
-        [axes * np.sqrt(np.maximum(size, 0.0)), np.einsum("pma,maq->pq", rotation, links.modes_rad)], axis=1
-    )
+    # Errors of each link, made independent by a root of their covariance, then errors that all links share.
+    own = rotation.reshape(len(rotation), -1) @ np.linalg.cholesky(links.own_covariance)
+    moves = np.concatenate([own, np.einsum("pma,maq->pq", rotation, links.modes_rad)], axis=1)
     spread = links.own_rad2 + links.modes_rad @ links.modes_rad.transpose(0, 2, 1)
     u = math.degrees(math.sqrt(float(np.trace(spread.mean(axis=0))) / 3))
     note = "turns between the poses: noise of the gyros and uncertainty of their parameters"
@@ -430,9 +425,8 @@ def _gravity(data: Readings, fit: Fit, parameters: int) -> Source:
     base = fit.values.base
     u = GRAVITY_HALF_MPS2 / math.sqrt(3)
     moves = np.zeros((parameters, 1))
-    for k, name in enumerate(fit.data.model.names):
-        if name.startswith("scale"):
-            moves[k] = -float(base[k]) * u * 1000 / (data.gravity_mg * STANDARD_GRAVITY_MPS2)
+    scales = [name.startswith("scale") for name in fit.data.model.names]
+    moves[: len(base), 0] = -base * scales * u * 1000 / (data.gravity_mg * STANDARD_GRAVITY_MPS2)
     note = "all gains move alike: ratios and angles do not depend on it"
     return Source(GRAVITY, "B", "rectangular", u, moves, note, by_definition=True, unit="m/s²")
 
