@@ -256,42 +256,20 @@ def piles(samples: Sequence[Floats], lively: NDArray[np.bool_]) -> Iterator[tupl
     it. `lively` (axes,) is True for the axes to examine.
     """
     for axis in np.flatnonzero(lively).tolist():
-        columns = [rows[:, axis] for rows in samples]
-        for sign in (1.0, -1.0):
-            value, count, inside = _pile(columns, sign)
-            piled = count >= max(_PILE, _STEEP * inside)
-            if piled and len(np.unique(np.concatenate(columns))) > _LEAST_VALUES:
-                yield axis, value, inside
-
-
-def _pile(columns: Sequence[Floats], sign: float) -> tuple[float, int, int]:
-    """Return the largest value of the samples, the number of samples with it, and with the next value.
-
-    For sign −1 it is the smallest value. `columns` are the samples of one axis in each dwell.
-    """
-    most = max if sign > 0 else min
-    extreme = most(float(column.max() if sign > 0 else column.min()) for column in columns)
-    count = sum(int((column == extreme).sum()) for column in columns)
-    if count < _PILE:
-        return extreme, count, 0
-    rest = [column[column != extreme] for column in columns]
-    inner = [float(column.max() if sign > 0 else column.min()) for column in rest if column.size]
-    if not inner:
-        return extreme, count, 0
-    return extreme, count, sum(int((column == most(inner)).sum()) for column in rest)
+        column = np.concatenate([rows[:, axis] for rows in samples])
+        values, counts = np.unique(column, return_counts=True)
+        if len(values) > _LEAST_VALUES:
+            for extreme, beside in ((-1, -2), (0, 1)):
+                if counts[extreme] >= max(_PILE, _STEEP * counts[beside]):
+                    yield axis, float(values[extreme]), int(counts[beside])
 
 
 def _limit(dwells: Sequence[Dwell], axis: int, value: float, inside: int) -> Limit:
-    share = {d.position: float(np.mean(d.accel[:, axis] == value)) for d in dwells}
-    count = {d.position: len(d) for d in dwells}
-    return Limit(
-        axis,
-        value,
-        round(sum(share[p] * count[p] for p in share)),
-        inside,
-        tuple(p for p in share if share[p] > 0),
-        tuple(p for p in share if share[p] > 0 and _moves(share[p], count[p])),
-    )
+    reached = {d.position: d.accel[:, axis] == value for d in dwells}
+    reached = {position: at for position, at in reached.items() if at.any()}
+    spoiled = [p for p, at in reached.items() if _moves(float(at.mean()), len(at))]
+    samples = sum(int(at.sum()) for at in reached.values())
+    return Limit(axis, value, samples, inside, tuple(reached), tuple(spoiled))
 
 
 def _moves(share: float, n: int) -> bool:

@@ -340,7 +340,6 @@ _STEEP = 1.5
 It is the number of independent values of the spectrum on each side."""
 _TAPERED = 2 / 3 * 0.95
 """Loss of a tone's power by Hann's taper, (Σw)²/(n Σw²), and between two frequencies of the grid."""
-_LARGEST = 1e6
 TAPER_LOSS = 1.944
 """Factor n Σw⁴ / (Σw²)² of Hann's taper, by which it reduces the degrees of freedom."""
 _WIDTHS = (6, 16, 40)
@@ -878,12 +877,8 @@ def smallest_tone(samples: Samples, density: Density | None) -> Detectable:
         effective = float(density.effective[axis])
         freedom = 2 * effective * float(np.median(density.width[searched])) / TAPER_LOSS
         height = float(special.fdtri(2 * effective, freedom, 1 - p))
-
-        def missing(excess: float, height: float = height) -> float:
-            power = 1 - special.chndtr(2 * dwells * height, 2 * dwells, 2 * dwells * excess)
-            return float(power) - POWER
-
-        excess = float(optimize.brentq(missing, 1e-6, _LARGEST, xtol=1e-6))
+        # Noncentrality with which the sum exceeds the height with a probability of 90 %.
+        excess = float(special.chndtrinc(2 * dwells * height, 2 * dwells, 1 - POWER)) / (2 * dwells)
         noise = float(np.median(density.level[:, axis])) * float(np.median(density.bound[searched, axis]))
         worst = max(worst, float(np.sqrt(4 * noise * excess / (_TAPERED * counts))))
     return Detectable(worst, "mg", "tone")
