@@ -356,6 +356,8 @@ def _facts(session: Session) -> dict[str, Any]:
     They are known even if the fit fails.
     """
     origin = provenance_of(session)
+    # A time of an archive or a CSV has a zone.
+    begun = datetime.fromisoformat(origin.recorded_utc) if origin.recorded_utc else None
     return {
         "data_sha256": origin.sha256,
         "serial": origin.serial.strip() or None,
@@ -363,7 +365,7 @@ def _facts(session: Session) -> dict[str, Any]:
         "stage": origin.stage.strip() or None,
         "sensor": origin.sensor,
         "plan": (session.facts.get("plan") or {}).get("name"),
-        "when": _utc(origin.recorded_utc),
+        "when": None if begun is None else begun.astimezone(UTC).isoformat(timespec="seconds"),
         "simulated": session.facts.get("simulated"),
         "dwells": len(session.dwells),
         "measuring_s": math.fsum(float(d.time_s[-1] - d.time_s[0]) for d in session.dwells if len(d)),
@@ -371,21 +373,6 @@ def _facts(session: Session) -> dict[str, Any]:
         "gravity_mps2": origin.gravity_mps2,
         "doubts": tuple(str(doubt["message"]) for doubt in session.facts.get("doubts", ())),
     }
-
-
-def _utc(text: str) -> str | None:
-    """Convert an ISO time to UTC with a resolution of a second; None for a text that is no time.
-
-    A time without a zone is taken as UTC.
-    """
-    if not text:
-        return None
-    try:
-        moment = datetime.fromisoformat(text)
-    except ValueError:
-        return None
-    moment = moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
-    return moment.isoformat(timespec="seconds")
 
 
 def _results(session: Session, *, trace: bool) -> dict[str, Any]:
