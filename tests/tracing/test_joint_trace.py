@@ -110,6 +110,16 @@ def test_one_session_is_its_own_stack() -> None:
     assert stack([one], origins(1)) is one
 
 
+def test_a_session_of_samples_and_one_of_averaged_readings_are_joined() -> None:
+    rng = np.random.default_rng(5)
+    one, two = (draw_session(rng, draw_part(rng)) for _ in range(2))
+    parts = {"quantization": np.ones((len(one), 2)), "flicker": np.ones((len(one), 2))}
+    for each in ([replace(one, **parts), two], [two, replace(one, **parts)]):
+        joint = stack(each, origins(2)).training
+        assert len(joint) == len(one) + len(two)
+        assert (joint.quantization, joint.flicker) == (None, None)
+
+
 def test_sessions_of_two_kinds_are_refused() -> None:
     rng = np.random.default_rng(6)
     one, two = (draw_session(rng, draw_part(rng)) for _ in range(2))

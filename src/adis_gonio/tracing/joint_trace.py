@@ -379,11 +379,12 @@ def stack(each: Sequence[Readings], origins: Sequence[SessionOrigin]) -> Reading
     if len(each) == 1:
         return first
     session = np.repeat(np.arange(len(each)), [len(one) for one in each])
-    by_row = ["mean", "own_covariance", "dof", "angle_rad", "check", "position", "samples"]
-    parts = [
-        name for name in ("quantization", "flicker") if all(getattr(r, name) is not None for r in each)
-    ]
-    joined: dict[str, Any] = {n: np.concatenate([getattr(r, n) for r in each]) for n in (*by_row, *parts)}
+    joined: dict[str, Any] = {}
+    by_row = ("mean", "own_covariance", "dof", "angle_rad", "check", "position", "samples")
+    for name in (*by_row, "quantization", "flicker"):
+        rows = [getattr(one, name) for one in each]
+        # Averaged readings do not state the parts of their noise.
+        joined[name] = None if any(own is None for own in rows) else np.concatenate(rows)
     return replace(
         first,
         **joined,
