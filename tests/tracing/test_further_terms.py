@@ -9,7 +9,7 @@ import pytest
 
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.tracing.trace import TraceRun
-from adis_gonio.tracing.what_if import Bought, best_by_terms, bought_by_terms, next_term
+from adis_gonio.tracing.what_if import Bought, best_by_terms, bought_by_terms
 from tracing.small_problems import U, ideal_mg, labelled, read, surroundings
 
 LABELS = ("bias[xy]", "quadratic[x]", "cubic[x]", "bias_drift[x]", "asymmetry[y]")
@@ -72,20 +72,3 @@ def test_the_uncertainty_of_a_gain_is_its_scatter_over_sessions() -> None:
         gains.append(last.gain)
         stated.append(last.u)
     assert 0.5 < np.std(gains) / np.median(stated) < 2
-
-
-def test_the_sentence_leads_with_the_gain_of_one_more_term() -> None:
-    def one(error: float, gain: float, nats: float, chosen: bool, *terms: str) -> Bought:
-        return Bought(terms, nats, error, gain, 0.02, True, chosen)
-
-    two = one(0.2, 1.0, 50.0, True, "bias", "cubic")
-    small = next_term([two, one(0.19, 0.01, 46.5, False, "bias", "cubic", "warm_up")], "mg")
-    assert small.startswith(
-        "2 terms: one more buys 0.010\N{NO-BREAK SPACE}mg of the left-out error, less than"
-    )
-    assert small.endswith("and lowers the log evidence by 3.5.")
-    worse = next_term([two, one(0.3, -0.1, 51.0, False, "bias", "cubic", "warm_up")], "mg")
-    assert (
-        worse == "2 terms: one more does not lower the left-out error and raises the log evidence by 1.0."
-    )
-    assert next_term([two], "mg").startswith("2 terms: the search scored no further one")

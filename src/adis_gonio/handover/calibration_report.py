@@ -39,7 +39,6 @@ from adis_gonio.tracing import trace_summary as words
 from adis_gonio.tracing.trace_figures import Panel, Views, views_of, what_if_panels
 from adis_gonio.tracing.trace_result import TraceResult
 from adis_gonio.tracing.traced_answer import answer_with_trace
-from adis_gonio.tracing.what_if import next_term
 
 _COVARIATES = {
     "angle": "declared angle / °",
@@ -391,7 +390,7 @@ def what_if_section(traced: TraceResult, *, figures: bool = True) -> list[Sectio
 def further_terms_section(traced: TraceResult) -> Section:
     """Return the section on the gain by each further term of the model: evidence and held-out error.
 
-    It has a sentence, a table and two figures.
+    It has a table and two figures.
     """
     bought = traced.bought()
     if not bought:
@@ -426,8 +425,7 @@ def further_terms_section(traced: TraceResult) -> Section:
     head = ["terms", "best model", "log evidence", f"left out / {unit}", f"gain ± U / {unit}", "efficient"]
     caption = "Efficient: no model of fewer terms has more evidence and a smaller left-out error."
     table = Table(head, rows, numeric=(0, 2, 3, 4), caption=caption)
-    lead = [next_term(bought, unit)]
-    return Section("What each further term buys", words=lead, tables=[table], figures=figures)
+    return Section("What each further term buys", tables=[table], figures=figures)
 
 
 def rivals_section(traced: TraceResult) -> Section:

@@ -134,7 +134,8 @@ def error_rows(result: TraceResult) -> tuple[list[str], list[list[str]]]:
 
 def asked(what_if: WhatIf) -> str:
     """Return the question of a what-if, such as `What if: with quadratic:x, without bias_drift`."""
-    words = {"only" if what_if.only else "with": what_if.include, "without": what_if.exclude}
+    request = what_if.request
+    words = {"only" if request.only else "with": request.include, "without": request.exclude}
     parts = [f"{word} {join_words(names)}" for word, names in words.items() if names]
     return f"What if: {', '.join(parts) or 'the base model only'}"
 

@@ -23,17 +23,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from adis_gonio.base.arrays import Floats
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import HIDDEN, INLINE, JsonRecord, key
-from adis_gonio.base.numbers import counted, format_number, with_unit
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
 from adis_gonio.model.effects import AXES, catalogue, effect
-from adis_gonio.model.effects.formula import FormulaEffect, formula_effect
+from adis_gonio.model.effects.formula import formula_effect
 from adis_gonio.tracing import validation
 from adis_gonio.tracing.findings import differs_from_zero, finding_of
 from adis_gonio.tracing.linear_problem import amplitudes, linearise, span
@@ -91,44 +89,7 @@ class ComparedModel(JsonRecord):
     prior: float
 
 
-class WhatIf(JsonRecord):
-    """Comparison of the model that a user asked for with the base model and the best model.
-
-    The JSON document is the value of `what_if`.
-
-    Attributes
-    ----------
-    include, exclude : tuple of str
-        Terms that are in every model, and excluded names, as the user wrote them.
-    only : bool
-        True if no other term was searched.
-    odds : float
-        Ratio of the probabilities of the asked model and the best model; `log_odds` is its logarithm.
-    prior_odds : float
-        Ratio of the priors of these models, which `odds` contains.
-    before, best, asked : ComparedModel
-        The base model, the best model of a trace without the request, and the asked model.
-    forced : tuple of AskedTerm
-        The terms in `include` with their values.
-    fits : tuple of 2 Fit
-        Fits of the best and of the asked model.
-    """
-
-    include: tuple[str, ...] = field(metadata=key("with"))
-    exclude: tuple[str, ...] = field(metadata=key("without"))
-    only: bool
-    odds: float
-    log_odds: float
-    prior_odds: float
-    before: ComparedModel
-    best: ComparedModel
-    asked: ComparedModel
-    forced: tuple[AskedTerm, ...]
-    fits: tuple[Fit, Fit] = field(metadata=HIDDEN, repr=False, compare=False)
-
-
-@dataclass(frozen=True)
-class AskedModel:
+class AskedModel(JsonRecord):
     """A user's request for a trace: terms that every model has, and names that no model has.
 
     Attributes
@@ -142,8 +103,8 @@ class AskedModel:
         True if the model has the included terms and no other.
     """
 
-    include: tuple[str, ...] = ()
-    exclude: tuple[str, ...] = ()
+    include: tuple[str, ...] = field(default=(), metadata=key("with"))
+    exclude: tuple[str, ...] = field(default=(), metadata=key("without"))
     only: bool = False
 
     def __bool__(self) -> bool:
@@ -185,6 +146,38 @@ class AskedModel:
         free = [] if self.only else terms
         kept = [term for term in free if term.name not in self.exclude and term.label not in labels]
         return [*forced, *kept], len(forced) + (0 if self.only else max_effects)
+
+
+class WhatIf(JsonRecord):
+    """Comparison of the model that a user asked for with the base model and the best model.
+
+    The JSON document is the value of `what_if`.
+
+    Attributes
+    ----------
+    request : AskedModel
+        Terms that are in every model, and excluded names, as the user wrote them.
+    odds : float
+        Ratio of the probabilities of the asked model and the best model; `log_odds` is its logarithm.
+    prior_odds : float
+        Ratio of the priors of these models, which `odds` contains.
+    before, best, asked : ComparedModel
+        The base model, the best model of a trace without the request, and the asked model.
+    forced : tuple of AskedTerm
+        The included terms with their values.
+    fits : tuple of 2 Fit
+        Fits of the best and of the asked model.
+    """
+
+    request: AskedModel = field(metadata=INLINE)
+    odds: float
+    log_odds: float
+    prior_odds: float
+    before: ComparedModel
+    best: ComparedModel
+    asked: ComparedModel
+    forced: tuple[AskedTerm, ...]
+    fits: tuple[Fit, Fit] = field(metadata=HIDDEN, repr=False, compare=False)
 
 
 FREE = AskedModel()
@@ -230,37 +223,22 @@ def _formula(data: Readings, about: Fit, text: str) -> NamedTerm:
     made = formula_effect(text, data.model.unit)
     if made.name in catalogue():
         raise UsageError(f"formula '{text}': {made.name} is an effect of the catalogue; take another name")
+    reason = ""
     try:
         columns = made.derivative(np.zeros(len(made.axes)), about.ideal, data.conditions)
-        reason = _flaw(about, made, columns[:, AXES.index(made.axes[0]), 0])
+        column = columns[:, AXES.index(made.axes[0]), 0]
+        wrong = np.flatnonzero(~np.isfinite(column))
+        if wrong.size:
+            reason = f"it has no finite value at position {data.position[wrong[0]]}"
+        elif np.ptp(column) <= _ALIKE * np.abs(column).max():
+            where = "zero" if not column.any() else f"constant, as is bias:{''.join(made.axes)},"
+            reason = f"it is {where} at every position"
     except UsageError as error:
         reason = str(error)
     if reason:
         raise UsageError(f"formula '{text}': {reason}")
     label = f"{made.name}[{''.join(made.axes)}]"
     return NamedTerm(label, made.covariates, -math.log(limits.effect_share), made)
-
-
-def _flaw(about: Fit, made: FormulaEffect, column: Floats) -> str:
-    """Return the reason why the column (n,) of a formula cannot be fitted; empty if there is none."""
-    data = about.data
-    wrong = np.flatnonzero(~np.isfinite(column))
-    if wrong.size:
-        return f"it has no finite value at position {data.position[wrong[0]]}"
-    if np.ptp(column) <= _ALIKE * np.abs(column).max():
-        where = "zero" if not column.any() else f"constant, as is bias:{''.join(made.axes)},"
-        return f"it is {where} at every position"
-    for axis, letter in ((AXES.index(letter), letter) for letter in made.axes):
-        # The cosine between the formula and each base column, on an axis on which both act.
-        base = about.base_columns[:, axis]
-        size = np.linalg.norm(base, axis=0) * np.linalg.norm(column)
-        cosine = np.abs(column @ base) / np.where(size > 0, size, np.inf)
-        elsewhere = np.delete(about.base_columns, axis, axis=1).any(axis=(0, 1))
-        alike = np.flatnonzero((cosine > 1 - _ALIKE) & ~elsewhere)
-        if alike.size:
-            parameter = data.model.parameters[alike[0]].name
-            return f"it is a multiple of the base parameter {parameter} on {letter}"
-    return ""
 
 
 def _variants(
@@ -323,9 +301,7 @@ def compare(free: TraceRun, asked: TraceRun, request: AskedModel) -> WhatIf:
     log_odds = models[2].log_evidence - models[1].log_evidence
     found = [finding_of(asked.final, name, asked.averaged) for name in dict.fromkeys(asked.forced)]
     return WhatIf(
-        include=request.include,
-        exclude=request.exclude,
-        only=request.only,
+        request=request,
         odds=math.exp(min(log_odds, 700.0)),
         log_odds=log_odds,
         prior_odds=models[2].prior / models[1].prior,
@@ -460,36 +436,8 @@ def bought_by_terms(
         before = max(k - 1, 0)
         # Change of the root mean square by each dwell: a paired difference of two models, to first order.
         per_dwell = (squares[before] / errors[before] - squares[k] / errors[k]) / (2 * each)
-        fewer = [one for one in out if one.log_evidence >= evidence]
-        out.append(
-            Bought(
-                tuple(term.label for term in fits[k].terms),
-                evidence,
-                errors[k],
-                errors[before] - errors[k],
-                float(per_dwell.std(ddof=1) / np.sqrt(len(per_dwell))) if len(per_dwell) > 1 else np.inf,
-                not any(one.heldout_rms <= errors[k] for one in fewer),
-                is_chosen[k],
-            )
-        )
+        u = float(per_dwell.std(ddof=1) / np.sqrt(len(per_dwell))) if len(per_dwell) > 1 else np.inf
+        gain, terms = errors[before] - errors[k], tuple(term.label for term in fits[k].terms)
+        efficient = not any(o.log_evidence >= evidence and o.heldout_rms <= errors[k] for o in out)
+        out.append(Bought(terms, evidence, errors[k], gain, u, efficient, is_chosen[k]))
     return out
-
-
-def next_term(bought: Sequence[Bought], unit: str) -> str:
-    """Return a sentence on the benefit of one more term than the chosen model has.
-
-    `bought` has the best model of each number of terms, and `unit` is the unit of their held-out errors.
-    """
-    here = next(k for k, one in enumerate(bought) if one.chosen)
-    terms = counted(len(bought[here].terms), "term")
-    if here + 1 == len(bought):
-        return f"{terms}: the search scored no further one that changes the prediction."
-    after = bought[here + 1]
-    nats = after.log_evidence - bought[here].log_evidence
-    gain = with_unit(format_number(after.gain, 2), unit)
-    sized = "less" if after.gain < after.u else "more"
-    buys = f"buys {gain} of the left-out error, {sized} than its uncertainty of {format_number(after.u, 2)}"
-    if after.gain <= 0:
-        buys = "does not lower the left-out error"
-    changes = f"{'lowers' if nats < 0 else 'raises'} the log evidence by {format_number(abs(nats), 2)}"
-    return f"{terms}: one more {buys} and {changes}."
