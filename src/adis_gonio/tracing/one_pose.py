@@ -72,15 +72,8 @@ class _Form:
     coarse: bool
 
 
-@dataclass(frozen=True, eq=False)
-class _Candidate:
-    """An effect of the catalogue with the forms (combinations of degree and time constant) to try."""
-
-    effect: Effect
-    forms: tuple[_Form, ...]
-
-
-Model = tuple[_Candidate, ...]
+Model = tuple[str, ...]
+"""Names of the effects of a model."""
 Choice = tuple[_Form, ...]
 """One form of each effect of a model."""
 
@@ -97,14 +90,15 @@ class _Problem(ComputedOnce):
         Variance of the samples of a reading in mg².
     conditions : Conditions
         Time, temperature and supply of each reading.
-    candidates : tuple of _Candidate
-        Effects to try.
+    effects, forms : dict of str to Effect, dict of str to list of _Form
+        Effects to try, and the forms of each (combinations of degree and time constant), by name.
     """
 
     readings: Floats
     within: Floats
     conditions: Conditions
-    candidates: Model
+    effects: dict[str, Effect]
+    forms: dict[str, list[_Form]]
 
 
 def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
@@ -136,42 +130,41 @@ def trace_series(session: Session, max_effects: int = 6) -> TraceResult:
     problem = _problem(session, dwell, dwell.temperature_c)
     model: Model = ()
     reasons: dict[str, str] = {}
-    each: list[dict[_Candidate, float]] = []
+    each: list[dict[str, float]] = []
     while len(model) < max_effects:
-        share = attempt("further effects", partial(_shares, problem, model), dict[_Candidate, float]())
+        share = attempt("further effects", partial(_shares, problem, model), dict[str, float]())
         chosen = max(share, key=share.__getitem__, default=None)
         none = 1 - sum(share.values())
         if chosen is None or none > limits.certain:
             why = f"a jump or slow noise of the bias is more probable ({format_percent(none)})"
-            reasons = {one.effect.name: why for one, p in share.items() if p > 1 - limits.set_level}
+            reasons = {name: why for name, p in share.items() if p > 1 - limits.set_level}
             break
         before, after = (problem.once(_folds, one)[0].sum() for one in (model, (*model, chosen)))
         if after > limits.worse**2 * before:
-            reasons = {chosen.effect.name: "the held-out error would be larger with it"}
+            reasons = {chosen: "the held-out error would be larger with it"}
             break
         model = (*model, chosen)
         each.append(share)
-    rest = [tuple(one for one in model if one is not chosen) for chosen in model]
+    rest = [tuple(one for one in model if one != chosen) for chosen in model]
     each = attempt("confounded effects", lambda: [_shares(problem, one) for one in rest], each)
     # The names that may be in the place of each effect, the effect first.
     rivals = [
-        (one.effect.name, *(k.effect.name for k in share if k != one and share[k] > 1 - limits.set_level))
-        for one, share in zip(model, each, strict=True)
+        (name, *(other for other, p in share.items() if other != name and p > 1 - limits.set_level))
+        for name, share in zip(model, each, strict=True)
     ]
     uncaused: list[str] = attempt("movements without a cause", partial(_uncaused, problem, model), [])
     figures = [_figures(problem, model[:k]) for k in range(len(model) + 1)]
-    names = [one.effect.name for one in model]
-    explained = shares(names, [(error.heldout_rms or 0.0) ** 2 for error in figures])
+    explained = shares(model, [(error.heldout_rms or 0.0) ** 2 for error in figures])
     found, detectable = [], {}
-    for k, (name, one) in enumerate(zip(names, model, strict=True)):
+    for k, name in enumerate(model):
         parameters, detectable[name] = _parameters(problem, model, k)
-        if (likely := each[k][one]) >= limits.certain:
-            axes, cause = one.effect.axes, one.effect.cause
+        if (likely := each[k][name]) >= limits.certain:
+            axes, cause = problem.effects[name].axes, problem.effects[name].cause
             found.append(Finding(name, axes, parameters, 1 - likely, explained[name], likely, cause=cause))
     return TraceResult(
         adequate=False,
         found=tuple(found),
-        steps=tuple(Step(name, error) for name, error in zip(names, figures[1:], strict=True)),
+        steps=tuple(Step(name, error) for name, error in zip(model, figures[1:], strict=True)),
         confounded=tuple(group for group in rivals if len(group) > 1),
         before=figures[0],
         after=figures[-1],
@@ -205,19 +198,20 @@ def _problem(session: Session, dwell: Dwell, temperature_c: Floats) -> _Problem:
         supply_v=None if dwell.supply_v is None else block_means(dwell.supply_v, cuts),
         temperature_history=(time, temperature_c) if (np.diff(time) > 0).all() else None,
     )
-    candidates = []
+    effects: dict[str, Effect] = {}
+    forms: dict[str, list[_Form]] = {}
     for name in ("bias_temperature", "thermal_lag", "warm_up", "bias_drift", "supply_bias"):
         made = effect(name, AXES[: readings.shape[1]])
-        forms = [
+        own = [
             _Form(columns[:, :degree], tau, number % 3 == 0)
             for number, (columns, tau) in enumerate(_columns(made, conditions))
             for degree in range(1, columns.shape[1] + 1)
             if (np.ptp(columns[:, :degree], axis=0) > 0).all()
         ]
-        if forms:
-            candidates.append(_Candidate(made, tuple(forms)))
+        if own:
+            effects[name], forms[name] = made, own
     within = (samples**2).mean(axis=0) - (readings**2).mean(axis=0)
-    return _Problem(readings, within, conditions, tuple(candidates))
+    return _Problem(readings, within, conditions, effects, forms)
 
 
 def _columns(made: Effect, conditions: Conditions) -> Iterator[tuple[Floats, float | None]]:
@@ -242,11 +236,12 @@ def _columns(made: Effect, conditions: Conditions) -> Iterator[tuple[Floats, flo
         yield columns, tau
 
 
-def _choices(model: Model) -> list[Choice]:
+def _choices(problem: _Problem, model: Model) -> list[Choice]:
     """Return all combinations of one form for each effect; effects of the temperature have one degree."""
-    several = sum(one.forms[0].tau_s is not None for one in model) > 1
-    lists = [[form for form in one.forms if form.coarse or not several] for one in model]
-    powers = [k for k, one in enumerate(model) if one.forms[-1].columns.shape[1] > 1]
+    each = [problem.forms[name] for name in model]
+    several = sum(forms[0].tau_s is not None for forms in each) > 1
+    lists = [[form for form in forms if form.coarse or not several] for forms in each]
+    powers = [k for k, forms in enumerate(each) if forms[-1].columns.shape[1] > 1]
     return [
         choice
         for choice in itertools.product(*lists)
@@ -275,7 +270,7 @@ def _folds(problem: _Problem, model: Model) -> tuple[Floats, list[Choice], list[
         Its coefficients for each axis from a fit of all blocks, and their standard uncertainties by the
         jackknife over blocks.
     """
-    choices, coefficients = _choices(model), []
+    choices, coefficients = _choices(problem, model), []
     readings = problem.readings.reshape(BLOCKS, -1, problem.readings.shape[1])
     predicted = np.empty((len(choices), *readings.shape))
     inside = np.empty((len(choices), BLOCKS, readings.shape[2]))
@@ -337,7 +332,7 @@ def _log_evidence(problem: _Problem, model: Model) -> Floats:
     with g the number n of readings (Zellner's prior; Liang et al., J. Am. Stat. Assoc. 103, 2008): with a
     share R² explained, they multiply the evidence by (1 + g)^((n − 1 − p)/2) (1 + g (1 − R²))^(−(n − 1)/2).
     """
-    choices, (white, scale) = _choices(model), problem.once(_noises)
+    choices, (white, scale) = _choices(problem, model), problem.once(_noises)
     n = len(problem.readings)
     readings = white @ problem.readings
     jumps = white @ np.tri(n, n - 1, -1)  # jump k is 0 up to reading k and 1 after it
@@ -360,28 +355,28 @@ def _log_evidence(problem: _Problem, model: Model) -> Floats:
         jumped = factor((rest[:, :, None] - gain) / total[:, :, None], p + 1)
         parts[1, j] = log_sum_exp(jumped, axis=2) - np.log(n - 1)
     parts += scale[..., None] - 0.5 * (n - 1) * np.log(total)
-    jump = 1 / (1 + len(problem.candidates))
+    jump = 1 / (1 + len(problem.effects))
     prior = np.log([1 - jump, jump]) - np.log(len(choices) * len(NOISE_RATIOS))
     return np.asarray(log_sum_exp(parts, axis=(1, 3)) + prior[:, None, None])
 
 
-def _shares(problem: _Problem, model: Model) -> dict[_Candidate, float]:
+def _shares(problem: _Problem, model: Model) -> dict[str, float]:
     """Return for each effect that the model lacks the probability that it belongs to the model.
 
     The probabilities sum to 1 together with the probability that no further effect belongs to the model.
     The prior odds of each effect against none are 1 to the number of candidates. An effect may be absent on
     some axes, each with probability ½.
     """
-    others = [one for one in problem.candidates if one not in model]
+    others = [name for name in problem.effects if name not in model]
     simpler = log_sum_exp(problem.once(_log_evidence, model), axis=(0, 1))
     log_odds = [0.0]
-    for one in others:
+    for name in others:
         check()
-        gained = log_sum_exp(problem.once(_log_evidence, (*model, one)), axis=(0, 1)) - simpler
+        gained = log_sum_exp(problem.once(_log_evidence, (*model, name)), axis=(0, 1)) - simpler
         # Π (1 + BF) over the axes, without the product in which the effect is absent on each.
         product = float(np.logaddexp(0.0, gained).sum())
         inside = product + np.log(-np.expm1(-product)) if product > 0 else -np.inf
-        log_odds.append(inside - np.log((2.0 ** len(gained) - 1) * len(problem.candidates)))
+        log_odds.append(inside - np.log((2.0 ** len(gained) - 1) * len(problem.effects)))
     share = np.exp(log_odds - log_sum_exp(np.array(log_odds)))
     return dict(zip(others, share.tolist()[1:], strict=True))
 
@@ -430,8 +425,8 @@ def _parameters(problem: _Problem, model: Model, which: int) -> tuple[dict[str, 
     `lag2`, `lag3`.
     """
     _, best, values, u = problem.once(_folds, model)
-    first = model[which].effect.parameters[0]
-    stem, letters = first.name.rsplit("_", 1)[0], model[which].effect.axes
+    first = problem.effects[model[which]].parameters[0]
+    stem, letters = first.name.rsplit("_", 1)[0], problem.effects[model[which]].axes
     parameters: dict[str, Value] = {}
     for axis, choice in enumerate(best):
         begin = 1 + sum(form.columns.shape[1] for form in choice[:which])
@@ -459,8 +454,8 @@ def _views(problem: _Problem, model: Model) -> Views:
         )
 
     steps = []
-    for k, one in enumerate(model):
-        name = one.effect.shown_over or (*one.effect.covariates, "time")[0]
+    for k, one in enumerate(map(problem.effects.__getitem__, model)):
+        name = one.shown_over or (*one.covariates, "time")[0]
         lag = problem.once(_folds, model)[1][0][k].columns[:, 0]
         steps.append(panels(name, covariates.get(name, lag), residuals[k], residuals[k + 1]))
     left = (panels(name, covariates[name], residuals[0], residuals[-1]) for name in ("time", "temperature"))
