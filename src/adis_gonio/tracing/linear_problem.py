@@ -13,6 +13,7 @@ amplitude.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -285,8 +286,6 @@ class LinearProblem:
 
         The χ² of these amplitudes under their prior is subtracted.
         """
-        if not len(model):
-            return 0.0
         columns, gram = self.columns_and_gram(model)
         along = self.target @ columns @ _full_combinations(gram)
         return float(along @ along)
@@ -296,13 +295,9 @@ class LinearProblem:
         columns = np.concatenate([self.columns[:, :0], *(self.block(k) for k in model)], axis=1)
         gram = columns.T @ columns
         start = 0
-        # Each block is orthonormal together with its prior rows, so its own part is the identity.
-        for k in model:
+        for k in model:  # terms do not share prior rows
             own = slice(start, start + int(self.width[k]))
-            if k < len(self.shared.width):
-                gram[own, own] = np.eye(int(self.width[k]))
-            else:  # columns of single sessions are projected off the shared base afterwards
-                gram[own, own] += self.prior_of(k)
+            gram[own, own] += self.prior_of(k)
             start = own.stop
         return columns, gram
 
@@ -374,13 +369,10 @@ class Products:
         for k in model:
             if k not in self._of:
                 self._of[k] = problem.block(k).T @ self._joining.columns
-        inside = np.concatenate([self._of[k] for k in model])
-        if len(model) > 1:  # a single block is already orthonormal
-            columns, gram = problem.columns_and_gram(model)
-            half = _full_combinations(gram)
-            along, inside = problem.target @ columns @ half, half.T @ inside
-        else:
-            along = problem.target @ problem.block(model[0])
+        columns, gram = problem.columns_and_gram(model)
+        half = _full_combinations(gram)
+        along = problem.target @ columns @ half
+        inside = half.T @ np.concatenate([self._of[k] for k in model])
         return problem.chi2 - float(along @ along), self._target - along @ inside, inside
 
     def pairs(self, model: Sequence[int]) -> tuple[float, int, Floats]:
@@ -453,9 +445,8 @@ def _terms_of_sessions(fit: Fit, terms: Sequence[Term]) -> dict[int, NamedTerm]:
             continue
         if term.effect.sharing.group == each:
             whole = term.effect.whole
-            index = [i for i, one in enumerate(whole.parameters) if one.shape]
-            values = [value for _, value in sorted(term.shapes)]
-            found[k] = replace(term, effect=whole, shapes=tuple(zip(index, values, strict=True)))
+            later = len(term.effect.parameters) - len(whole.parameters)
+            found[k] = replace(term, effect=whole, shapes=tuple((i - later, tau) for i, tau in term.shapes))
     return found
 
 
@@ -469,9 +460,7 @@ def _with_split(
     data, rows = fit.data, len(problem.target)
     session = np.repeat(data.conditions.covariate("session").astype(np.intp), rows // len(data))
     members = [np.flatnonzero(session == k) for k in range(len(data.model.origins))]
-    place = np.full((len(members), max(map(len, members))), rows)
-    for own, index in zip(place, members, strict=True):
-        own[: len(index)] = index
+    place = np.array([*itertools.zip_longest(*members, fillvalue=rows)]).T
     bases = session_bases(by_session(fit.white(fit.base_columns), place))
     numbers, split, prices = _blocks(fit, of_one, place, bases)
     return replace(
@@ -542,10 +531,6 @@ def _full_combinations(gram: Floats) -> Floats:
 
 def amplitudes(problem: LinearProblem, model: Sequence[int]) -> list[Floats]:
     """Return the most probable amplitudes (d,) of each term of a model, by least squares with the prior."""
-    if not len(model):
-        return []
-    if len(model) == 1 and model[0] < len(problem.shared.width):
-        return [problem.back_of(model[0]) @ (problem.target @ problem.block(model[0]))]
     columns, gram = problem.columns_and_gram(model)
     solved = np.linalg.lstsq(gram, columns.T @ problem.target, rcond=1e-12)[0]
     cuts = np.cumsum([0] + [int(problem.width[k]) for k in model])

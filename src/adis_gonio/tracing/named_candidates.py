@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import Any, ClassVar
@@ -268,33 +268,30 @@ class SplitEffect(Effect):
     ) -> list[tuple[NDArray[np.bool_], Floats, slice]]:
         """Return for each group the mask (n,) of its rows, its values, and the slice of its amplitudes."""
         group = np.array(self.sharing.group)[conditions.covariate("session").astype(np.intp)]
-        width = int((~self._shapes).sum())
-        found = []
-        for k in range(len(self.sharing.labels)):
-            place = slice(k * width, (k + 1) * width)
-            own = np.empty(len(self._shapes))
-            own[~self._shapes], own[self._shapes] = (
-                values[place],
-                values[len(self.sharing.labels) * width :],
-            )
-            found.append((group == k, own, place))
-        return found
+        count, width = len(self.sharing.labels), int((~self._shapes).sum())
+        places = [slice(k * width, (k + 1) * width) for k in range(count)]
+        own = np.empty((count, len(self._shapes)))
+        own[:, ~self._shapes] = [values[place] for place in places]
+        own[:, self._shapes] = values[count * width :]
+        return [(group == k, own[k], place) for k, place in enumerate(places)]
+
+    def _by_group(
+        self, values: Floats, conditions: Conditions, contribution: Callable[[Floats], Floats]
+    ) -> Floats:
+        """Return a contribution to readings or angles (n, …), on each row by the values of its group.
+
+        `contribution` computes it on all rows from the values of one group.
+        """
+        parts = [(rows * contribution(own).T).T for rows, own, _ in self._groups(values, conditions)]
+        return np.asarray(np.sum(parts, axis=0))
 
     def attitude_rad(self, values: Floats, conditions: Conditions) -> Floats:
         """Return the angle (n,) in rad added to the true angle, by the values of each row's group."""
-        parts = [
-            rows * self.whole.attitude_rad(own, conditions)
-            for rows, own, _ in self._groups(values, conditions)
-        ]
-        return np.asarray(np.sum(parts, axis=0))
+        return self._by_group(values, conditions, lambda own: self.whole.attitude_rad(own, conditions))
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Return the terms added to the readings (n, axes), by the values of each row's group."""
-        parts = [
-            rows[:, None] * self.whole.reading(own, ideal, conditions)
-            for rows, own, _ in self._groups(values, conditions)
-        ]
-        return np.asarray(np.sum(parts, axis=0))
+        return self._by_group(values, conditions, lambda own: self.whole.reading(own, ideal, conditions))
 
     def derivative(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Return the derivative by the amplitudes of all groups, zero on rows of other groups."""

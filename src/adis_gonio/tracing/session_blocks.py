@@ -14,6 +14,7 @@ by session (Woodbury's identity).
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -330,11 +331,10 @@ def columns_of(
 
 def runs(width: NDArray[np.intp]) -> list[tuple[slice, slice, int]]:
     """Group adjacent terms of equal width: slice of their numbers, slice of their columns, width."""
-    ends = np.append(np.flatnonzero(np.diff(width)) + 1, len(width)) if len(width) else width
     found = []
     begin = start = 0
-    for end in ends.tolist():
-        size = int(width[begin])
+    for size, members in itertools.groupby(width.tolist()):
+        end = begin + len(list(members))
         stop = start + size * (end - begin)
         found.append((slice(begin, end), slice(start, stop), size))
         begin, start = end, stop
