@@ -12,7 +12,6 @@ The field `serial` of a session identifies its part, the field `stage` its stage
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import field, fields, replace
 from pathlib import PurePath
@@ -36,7 +35,7 @@ from adis_gonio.model.records import Session
 from adis_gonio.record.provenance import digest_of
 from adis_gonio.tracing.credible_sets import cause_name, owners_of
 from adis_gonio.tracing.linear_problem import Products, linearise, span
-from adis_gonio.tracing.model_search import price
+from adis_gonio.tracing.model_search import presence_probabilities, price
 from adis_gonio.tracing.named_candidates import SplitEffect
 from adis_gonio.tracing.selection import Selection, promising_labels, select
 from adis_gonio.tracing.thresholds import limits
@@ -238,17 +237,9 @@ class JointRun(TraceRun):
         for k, origin in enumerate(with_progress(data.model.origins)):
             rows = session == k
             errors = [rms(residual[rows], by_axis) for residual in (*dwells, *whole)]
-            out.append(
-                SessionShare(
-                    origin.label,
-                    origin.part,
-                    origin.stage,
-                    int(rows.sum()),
-                    {cause: own[k] for cause, own in evidence.items()},
-                    self._alone(rows),
-                    *errors,
-                )
-            )
+            gained = {cause: own[k] for cause, own in evidence.items()}
+            names = (origin.label, origin.part, origin.stage)
+            out.append(SessionShare(*names, int(rows.sum()), gained, self._alone(rows), *errors))
         return tuple(out)
 
     def _alone(self, rows: NDArray[np.bool_]) -> dict[str, float]:
@@ -267,16 +258,9 @@ class JointRun(TraceRun):
             chosen = select(own, whole, self.max_effects, limits.fold_explored, limits.fold_rounds)
         except AdisGonioError:
             return {}
-        weight: dict[str, float] = defaultdict(float)
-        terms = chosen.problem.terms
-        for model, probability in chosen.verdict.weights.items():
-            for cause in {cause_name(terms[k]) for k in model}:
-                weight[cause] += probability
-        return {
-            cause: min(p, 1.0)
-            for cause, p in sorted(weight.items(), key=lambda i: -i[1])
-            if p >= limits.open_level
-        }
+        present = presence_probabilities(chosen.problem.terms, chosen.verdict.weights, cause_name)
+        ranked = sorted(present.items(), key=lambda item: -item[1])
+        return {cause: p for cause, p in ranked if p >= limits.open_level}
 
 
 def _session(data: Readings) -> NDArray[np.intp]:

@@ -36,7 +36,7 @@ import heapq
 import itertools
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -374,14 +374,19 @@ def weigh(found: Search) -> ModelPosterior:
     return ModelPosterior(best, weights, same, names)
 
 
-def presence_probabilities(terms: Sequence[Term], weights: Mapping[Model, float]) -> dict[str, float]:
+def presence_probabilities(
+    terms: Sequence[Term],
+    weights: Mapping[Model, float],
+    name_of: Callable[[Term], str | None] = lambda term: term.name,
+) -> dict[str, float]:
     """Return the probability that each name is present: the weight of the models that contain it.
 
-    `terms` are all candidate terms; `weights` are the posterior probabilities of the models.
+    `terms` are all candidate terms; `weights` are the posterior probabilities of the models. `name_of`
+    returns the name of a term or, for a term that does not count, None.
     """
     names: dict[str, float] = defaultdict(float)
     for model, weight in weights.items():
-        for name in {terms[k].name for k in model} - {None}:
+        for name in {name_of(terms[k]) for k in model} - {None}:
             names[str(name)] += weight
     # A sum of weights may exceed 1 by rounding.
     return {name: min(weight, 1.0) for name, weight in names.items()}
