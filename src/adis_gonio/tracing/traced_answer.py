@@ -88,16 +88,15 @@ class TracedAnswer(Answer):
     @property
     def remarks(self) -> tuple[str, ...]:
         """Remarks on the shown values, such as the temperature at which they are valid."""
-        temperature = self.traced.reference_temperature_c
+        temperature = self.reference_temperature_c
         if temperature is None:
-            return super().remarks
+            return self._excess
         return (f"Parameters are valid at {temperature:.1f} °C.", *self._excess)
 
     @property
     def reference_temperature_c(self) -> float | None:
         """Temperature in °C at which the parameters are valid; None if unknown."""
-        own = self.traced.reference_temperature_c
-        return super().reference_temperature_c if own is None else own
+        return self.traced.reference_temperature_c
 
     def facts(self) -> list[str]:
         """Return a line with the residual of the traced model."""
@@ -134,10 +133,7 @@ def answer_with_trace(result: FitResult, trace: TraceResult | None, *, own: bool
     names = tuple(name for name in steps if not (biased and name == "bias"))
     if not names:
         return replace(plain, recommended=_confirmed(comparison.recommended, trace))
-    prediction = _of_trace(result.session, trace)
-    if prediction is None:
-        return plain
-    found = {**comparison.predictions, TRACED: prediction}
+    found = {**comparison.predictions, TRACED: _of_trace(result.session, trace)}
     scores = scores_of(found)
     reason = _reason(trace, found, scores, comparison.recommended.method)
     if reason is None:
@@ -163,14 +159,9 @@ def _confirmed(recommended: Recommendation, trace: TraceResult) -> Recommendatio
     return replace(recommended, why=f"{recommended.why}; the trace finds {said}")
 
 
-def _of_trace(session: Readings, trace: TraceResult) -> DwellPrediction | None:
-    """Return the prediction of each dwell by the traced model, which is refitted without this dwell.
-
-    The result is None if fit and trace, both in space, use different numbers of axes.
-    """
+def _of_trace(session: Readings, trace: TraceResult) -> DwellPrediction:
+    """Return the prediction of each dwell by the traced model, which is refitted without this dwell."""
     final = trace.fits[-1]
-    if not session.planar and not final.data.planar and final.data.axes != session.axes:
-        return None
     used = np.isin(session.position, final.data.position) & ~session.check
     data = replace(session, fixture_rad=final.data.fixture_rad, links=None)
     return predicted(data, used, final, lambda out: final.again(data.rows(used & ~out)))
@@ -202,16 +193,12 @@ def _reason(
 def shown_angle(traced: TraceResult, error_deg: float) -> Value:
     """Return an angle error in degrees with the standard uncertainty of an angle by the traced model.
 
-    `error_deg` is the angle error. The uncertainty is the root mean square over the dwells. It is None if
-    an average over unnamed functions replaces parameters of the model.
+    `error_deg` is the angle error. The uncertainty is the root mean square over the dwells.
     """
     final = traced.fits[-1]
-    covariance = _covariance(final)
-    if covariance is None:
-        return Value(error_deg, None, "deg")
     reading = final.data.covariance.mean(axis=0)
     shown = ShownAngle.at_dwells(final)
-    variances = traced.inflation * shown.variances(covariance, reading)
+    variances = traced.inflation * shown.variances(final.covariance, reading)
     u = math.sqrt(float(variances.mean()))
     return Value(error_deg, u, "deg", traced.dof, factor_over(variances, traced.dof))
 
@@ -220,19 +207,17 @@ def budgets_of_trace(traced: TraceResult, values: Mapping[str, Value]) -> dict[s
     """Return the uncertainty budgets of `delta_k`, `delta_phi` and `angle` by the traced model.
 
     `values` are the values of these quantities; a value without u has no budget. The result is empty for
-    attitudes in space, and if an average over unnamed functions replaces parameters of the model. The part
-    of u that is not explained by the sources of the readings is assigned to the choice of the model: a
-    residual larger than the noise, and other models of equal probability.
+    attitudes in space. The part of u that is not explained by the sources of the readings is assigned to
+    the choice of the model: a residual larger than the noise, and other models of equal probability.
     """
     final = traced.fits[-1]
-    covariance = _covariance(final)
-    if covariance is None or not final.data.planar:
-        return {}
     data = final.data
+    if not data.planar:
+        return {}
     # If the noise was not stated, `inflation` is its estimate.
     scale = 1.0 if data.noise_known else math.sqrt(traced.inflation)
     noise = NoiseAssumptions(scale=scale, sigma_rad=data.fixture_rad, dof=traced.dof)
-    response = response_of(final, covariance, np.ones(len(covariance)))
+    response = response_of(final, final.covariance, np.ones(len(final.covariance)))
     sources = sources_of(data, noise, final, response)
     slopes = {name: (row[None], None) for name, row in _gradients(final).items()}
     shown = ShownAngle.at_dwells(final)
@@ -241,12 +226,6 @@ def budgets_of_trace(traced: TraceResult, values: Mapping[str, Value]) -> dict[s
         if name in values and values[name].u is not None:
             found[name] = _completed(budget_of(sources, gradient, reading), values[name])
     return found
-
-
-def _covariance(fit: Fit) -> Floats | None:
-    """Return the covariance of all parameters of a fit; None if an average replaces some of them."""
-    covariance = fit.covariance
-    return covariance if len(covariance) == len(fit.values.parameters) else None
 
 
 def _gradients(fit: Fit) -> dict[str, Floats]:
