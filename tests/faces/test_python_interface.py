@@ -104,7 +104,7 @@ def test_a_matrix_without_an_inverse_is_an_error_of_the_fit(call, session, monke
     def fail(*_: object, **__: object) -> None:
         raise np.linalg.LinAlgError("Singular matrix")
 
-    for name in ("adis_gonio.fitting.determination.determine", "adis_gonio.tracing.trace.search_model"):
+    for name in ("adis_gonio.fitting.determination.determine", "adis_gonio.tracing.trace.select"):
         monkeypatch.setattr(name, fail)
     with pytest.raises(FitError, match=r"session: no fit is possible .*Singular matrix.*check the times"):
         call(replace(session, source=""))

@@ -19,7 +19,6 @@ from adis_gonio.model.measurement import MeanRate
 from adis_gonio.tracing import validation
 from adis_gonio.tracing.trace_result import ErrorFigures
 from adis_gonio.tracing.validation import (
-    Chosen,
     Fold,
     HeldOut,
     cross_validate,
@@ -164,9 +163,8 @@ class TestLeavingOut:
         before = np.arange(41) < 20
         line = function("line", lambda c: c.time_s / 1200.0 - 1.0, where=where)
 
-        def fit(rows: Readings) -> Chosen:
-            begun = Fit.begin(rows).with_terms([line], [np.array([10.0])])  # mg or mrad
-            return Chosen(begun, by=begun)
+        def fit(rows: Readings) -> Fit:
+            return Fit.begin(rows).with_terms([line], [np.array([10.0])])  # mg or mrad
 
         told = cross_validate(data, {"before": [before]}, fit)["before"].rows(before)
         held = np.arange(20) / 20 - 1
@@ -186,9 +184,8 @@ class TestLeavingOut:
         rest = np.arange(12) % 3 == 1
         shares: list[float] = []
 
-        def fit(rows: Readings) -> Chosen:
-            begun = Fit.begin(rows).refit()
-            return Chosen(begun, by=begun)
+        def fit(rows: Readings) -> Fit:
+            return Fit.begin(rows).refit()
 
         with within(Budget(share=shares.append)):
             told = cross_validate(
@@ -218,10 +215,9 @@ class TestLeavingOut:
         data = noisy(turn(12), 85)
         few = np.arange(12) >= 3
 
-        def fit(rows: Readings) -> Chosen:
+        def fit(rows: Readings) -> Fit:
             biases = labelled(data, "bias[xy]")
-            begun = Fit.begin(rows).with_terms(biases, [np.zeros(2)]).refit()
-            return Chosen(Fit.begin(rows).refit(), by=begun)
+            return Fit.begin(rows).with_terms(biases, [np.zeros(2)]).refit()
 
         told = cross_validate(data, {"all but three": [few, ~few]}, fit)["all but three"]
         assert not told.predicted[few].all()
@@ -250,16 +246,16 @@ class TestFolds:
 
         def average(selection: Any, candidates: Any) -> Any:
             asked.append(candidates)
-            return SimpleNamespace(fit="average") if again else None
+            return "average" if again else None
 
         monkeypatch.setattr(validation, "select", lambda *_, **__: SimpleNamespace(fit="choice"))
         monkeypatch.setattr(validation, "average", average)
-        averaged: Any = SimpleNamespace(candidates="promising")
-        told = Fold([], averaged, 2).chosen_anew(self.data)
-        assert (told.fit, told.by) == (("average" if again else "choice"), "choice")
+        averaged: Any = SimpleNamespace(promising="promising")
+        told: Any = Fold([], averaged, 2).chosen_anew(self.data)
+        assert told == ("average" if again else "choice")
         assert asked == ["promising"]
-        alone = Fold([], None, 2).chosen_anew(self.data)
-        assert (alone.fit, alone.by) == ("choice", "choice")
+        alone: Any = Fold([], None, 2).chosen_anew(self.data)
+        assert alone == "choice"
         assert asked == ["promising"]
 
 
@@ -312,7 +308,7 @@ class TestErrors:
         wide = replace(base, values=replace(base.values, terms=(np.zeros(13),)))
         selection: Any = SimpleNamespace(base=base, fit=wide, data=base.data, terms=())
         fold: Any = Answering(base.data)
-        assert guard_errors(selection, [base, wide], fold) == [None, None]
+        assert guard_errors(selection, [base, wide], fold) == []
         figures = ErrorFigures(1.0, None, None, None)
         monkeypatch.setattr(validation, "leave_each_out", lambda fits: ([[] for _ in fits], "one by one"))
         monkeypatch.setattr(validation, "figures_of_fit", lambda *_: figures)
@@ -335,7 +331,7 @@ class TestErrors:
 
     def test_a_base_model_alone_has_nothing_to_be_judged_against(self) -> None:
         fold: Any = Answering(self.data)
-        assert guard_errors(self.selection, self.fits[:1], fold) == [None]
+        assert guard_errors(self.selection, self.fits[:1], fold) == []
         assert not fold.asked
 
     @pytest.mark.parametrize("averaged", [None, "an average"])
@@ -374,18 +370,17 @@ class TestErrors:
 
     def test_an_average_is_a_step_beside_the_names_or_takes_the_place_of_a_formula(self) -> None:
         bias, curve = self.selection.terms
-        smooth = SimpleNamespace(shown_as="unnamed: time")
-        fit = SimpleNamespace(terms=(bias, curve, smooth))
-        beside: Any = SimpleNamespace(fit=fit, named=(bias, curve))
+        smooth = function("smooth", lambda c: c.time_s, approximates=True)
+        beside: Any = SimpleNamespace(terms=(bias, curve, smooth))
         fits, steps = nest_fits(self.selection, beside)
-        assert steps == ["bias", "quadratic", "unnamed: time"]
+        assert steps == ["bias", "quadratic", "unnamed: bias of x follows smooth"]
         assert [len(one.terms) for one in fits] == [0, 1, 2, 3]
-        assert fits[-1] is fit
-        instead: Any = SimpleNamespace(fit=fit, named=(bias,))
+        assert fits[-1] is beside
+        instead: Any = SimpleNamespace(terms=(bias, smooth, smooth))
         fits, steps = nest_fits(self.selection, instead)
         assert steps == ["bias", "quadratic"]
         assert [len(one.terms) for one in fits] == [0, 1, 3]
-        assert fits[-1] is fit
+        assert fits[-1] is instead
 
     def test_chi2_is_said_against_the_noise_that_was_measured(self) -> None:
         louder = replace(self.data, own_covariance=4 * self.data.own_covariance)

@@ -109,7 +109,7 @@ def test_a_dwell_that_was_left_out_is_not_predicted_by_its_own_slip() -> None:
         ((8.0, 0.7, 0.1, 0.12), 2),
         ((8.0, 0.7, 0.1, 9.0), 2),
         ((0.1, 0.3, 0.2, 0.11), 0),
-        ((None, None, None, None), 3),
+        ((), 3),
     ],
 )
 def test_the_model_is_the_longest_that_is_not_worse_than_nothing(errors, count: int) -> None:

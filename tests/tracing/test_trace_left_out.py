@@ -60,7 +60,7 @@ def test_the_average_holds_no_polynomial_where_a_process_bends_as_well() -> None
     selection = select(data, [*named_terms(data)[0], *nameless_terms(data)], 3)
     averaged = average(selection)
     assert averaged is not None
-    mixed = [term for term in averaged.fit.terms if isinstance(term, AveragedTerm)]
+    mixed = [term for term in averaged.terms if isinstance(term, AveragedTerm)]
     members = [t for term in mixed for _, t, _ in term.members]
     assert members
     assert not any(t.basis.approximates and t.covariates == ("time",) for t in members)

@@ -433,7 +433,7 @@ class TestWhatIsSaid:
         data = read(c, mean)
         averaged = average(select(data, [wave, nearly], 1), processes(data)[:1])
         assert averaged is not None
-        terms = [term for term in averaged.fit.terms if isinstance(term, AveragedTerm)]
+        terms = [term for term in averaged.terms if isinstance(term, AveragedTerm)]
         labels = {own.label for term in terms for _, own, _ in term.members}
         assert "wave" in labels
         assert ("nearly" in labels) == member

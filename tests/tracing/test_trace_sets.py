@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
@@ -14,7 +15,7 @@ import pytest
 from adis_gonio import load_session, trace
 from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.estimation.readings import readings_of
-from adis_gonio.tracing.averaging import Averaged, AveragedFit, average
+from adis_gonio.tracing.averaging import AveragedFit, average
 from adis_gonio.tracing.credible_sets import CredibleSet, judge, merge_by_function, set_of, votes
 from adis_gonio.tracing.grammar import nameless_terms
 from adis_gonio.tracing.model_search import weigh
@@ -100,16 +101,15 @@ def test_a_name_beside_an_unknown_function_of_its_kind_may_be_a_piece_of_that(se
 def test_a_name_beside_a_smooth_function_of_its_kind_may_be_a_piece_of_that(selection: Selection) -> None:
     alone = believed(selection, {("bias[xy]", "quadratic[x]"): 1.0})
     smooth = next(t for t in nameless_terms(alone.data) if t.covariates == ("angle",))
-    averaged = Averaged(cast("AveragedFit", alone.fit), smooth, 0.6, ())
+    averaged = cast("AveragedFit", SimpleNamespace(smooth=smooth, weight=0.6))
     assert votes(alone, "quadratic", averaged)[0] == pytest.approx(
         {"quadratic": 0.4, "unnamed: angle": 0.6}
     )
     assert votes(alone, "bias", averaged)[0] == pytest.approx({"bias": 1.0})
     assert judge(alone, averaged).rejected == {"quadratic": "may be a piece of the same unnamed cause"}
     assert judge(alone, averaged).accepted == ("bias",)
-    slow = replace(
-        averaged, smooth=next(t for t in nameless_terms(alone.data) if t.covariates == ("time",))
-    )
+    of_time = next(t for t in nameless_terms(alone.data) if t.covariates == ("time",))
+    slow = cast("AveragedFit", SimpleNamespace(smooth=of_time, weight=0.6))
     assert votes(alone, "quadratic", slow)[0] == pytest.approx({"quadratic": 1.0})
     assert set(judge(alone, slow).accepted) == {"bias", "quadratic"}
 
@@ -143,7 +143,7 @@ def test_a_process_that_is_adequate_outweighs_formulas_that_are_not(tmp_path: Pa
     chosen = next(one for one in map(formulas, chirps) if not one.adequate)
     averaged = average(chosen)
     assert averaged is not None
-    final = chosen.with_fit(averaged.fit)
+    final = chosen.with_fit(averaged)
     assert final.adequate
     assert final.inflation == 1.0
     assert "time" in averaged.smooth.covariates

@@ -98,11 +98,11 @@ def test_the_average_adds_what_its_members_add_weighted() -> None:
     selection = select(data, [*named_terms(data)[0], *nameless_terms(data)], 3)
     averaged = average(selection)
     assert averaged is not None
-    (term,) = [t for t in averaged.fit.terms if isinstance(t, AveragedTerm)]
+    (term,) = [t for t in averaged.terms if isinstance(t, AveragedTerm)]
     assert sum(weight for weight, _, _ in term.members) >= 1 - 1e-9  # models of two terms count twice
     total = sum(w * t.added(v, data.mean, data.conditions) for w, t, v in term.members)
     np.testing.assert_allclose(term.added(np.zeros(0), data.mean, data.conditions), total)
-    assert averaged.fit.dof < data.mean.size - 4
+    assert averaged.dof < data.mean.size - 4
 
 
 def test_the_averaged_base_is_the_average_of_the_members_bases() -> None:
@@ -111,9 +111,9 @@ def test_the_averaged_base_is_the_average_of_the_members_bases() -> None:
     selection = select(data, [*named_terms(data)[0], *nameless_terms(data)], 1)
     averaged = average(selection)
     assert averaged is not None
-    if averaged.named:
+    if any(term.name for term in averaged.terms):
         pytest.fail("the session holds nothing that has a name")
-    (term,) = averaged.fit.terms
+    (term,) = averaged.terms
     bases = []
     for weight, member, values in term.members:
         alone = AveragedTerm(
@@ -122,7 +122,7 @@ def test_the_averaged_base_is_the_average_of_the_members_bases() -> None:
         )  # fmt: skip
         fit = selection.fit.with_terms((alone,), (np.zeros(0),)).refit()
         bases.append(weight * fit.values.base)
-    np.testing.assert_allclose(averaged.fit.values.base, np.sum(bases, axis=0), atol=2e-6)
+    np.testing.assert_allclose(averaged.values.base, np.sum(bases, axis=0), atol=2e-6)
 
 
 def test_a_smooth_function_does_not_run_off_beyond_what_was_measured() -> None:

@@ -74,11 +74,12 @@ class Told:
             return [ErrorFigures(e, e, None, e) for e in heldout[: len(fits)]], "a design"
 
         for name, stage in {
-            "search_model": lambda *_: (selection, scatter),
+            "select": lambda *_: selection,
+            "with_scatter": lambda *_: (selection, scatter),
             "named_terms": lambda _: (terms, {}),
             "nameless_terms": lambda _: [],
             "average": lambda _: averaged,
-            "guard_errors": lambda _, fits, fold: errors or [None for _ in fits],
+            "guard_errors": lambda _, fits, fold: errors or [],
             "error_figures": figures,
             "undecided": lambda _: could,
         }.items():
@@ -86,6 +87,12 @@ class Told:
             self.monkeypatch.setattr(module, name, stage)
         self.monkeypatch.setattr("adis_gonio.tracing.proposals.advise", advise)
         return trace_readings(data, 2)
+
+
+def judge_late(*_: Any) -> Names:
+    """Judge the names of `bent`, at the end of the time."""
+    stages.current().leave_out("what follows")
+    return Names(("bias", "cubic"), {}, ())
 
 
 @pytest.fixture
@@ -209,7 +216,8 @@ class TestResult:
         """An average beside the names, at the values of their fit."""
         wave = function("wave", lambda c: np.cos(4 * c.angle_rad), ("angle",))
         fit = selection.fit.with_terms([*selection.terms, wave], [*selection.fit.values.terms, np.zeros(1)])
-        return SimpleNamespace(fit=fit, named=selection.terms, smooth=wave, weight=0.9)
+        vars(fit).update(smooth=wave, weight=0.9)
+        return fit
 
     @pytest.mark.parametrize(("off_mg", "agree"), [(0.0, True), (2.0, False)])
     def test_an_average_is_the_result_and_check_dwells_judge_it(
@@ -218,7 +226,7 @@ class TestResult:
         made = bent((2, 7, 12, 17), off_mg)
         averaged = self.average(made[2])
         result = told(made, averaged=averaged, heldout=(10.0, 5.0, 2.0, 1.0))
-        assert result.fits[-1] is averaged.fit
+        assert result.fits[-1] is averaged
         assert result.steps[-1].effect == "unnamed: bias of x follows wave"
         assert result.unnamed is not None
         assert result.unnamed.probability == 0.9
@@ -235,16 +243,12 @@ class TestResult:
     def test_out_of_time_after_it_was_made_an_average_is_the_best_model_so_far(
         self, told: Told, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        def judge(*_: Any) -> Names:
-            stages.current().leave_out("what follows")
-            return Names(("bias", "cubic"), {}, ())
-
-        monkeypatch.setattr(stages, "judge", judge)
+        monkeypatch.setattr(stages, "judge", judge_late)
         made = bent()
         averaged = self.average(made[2])
         with within(Budget()):
             result = told(made, averaged=averaged)
-        assert result.fits[-1] is averaged.fit
+        assert result.fits[-1] is averaged
         assert set(result.reasons.values()) == {UNCHECKED}
 
     @pytest.mark.parametrize(("present", "said"), [(0.5, False), (0.6, True)])
@@ -272,7 +276,7 @@ class TestResult:
             candidates.extend(terms)
             raise FitError("enough")
 
-        monkeypatch.setattr(stages, "search_model", searched)
+        monkeypatch.setattr(stages, "select", searched)
         monkeypatch.setattr(stages, "nameless_terms", lambda training: [])
         with pytest.raises(FitError, match="enough"):
             trace_readings(data, 2, (accused(7, "misset"), accused(3, "gravity_wrong")))
@@ -286,10 +290,11 @@ class TestResult:
 class TestOutOfTime:
     @pytest.mark.parametrize("scatter", [None, SCATTER])
     def test_what_was_not_checked_is_open_with_all_of_the_model_and_its_scatter(
-        self, told: Told, scatter: Scatter | None
+        self, told: Told, monkeypatch: pytest.MonkeyPatch, scatter: Scatter | None
     ) -> None:
+        monkeypatch.setattr(stages, "judge", judge_late)
         made = bent()
-        with within(Budget(left_out=["the end of the search for effects"])):
+        with within(Budget()):
             result = told(made, scatter)
         names = ["cubic", "bias", *([] if scatter is None else ["reading_scatter"])]
         assert result.reasons == dict.fromkeys(names, UNCHECKED)
@@ -318,7 +323,7 @@ class TestOutOfTime:
     def test_a_search_that_the_limit_ended_is_said_and_weighs_no_scatter(
         self, monkeypatch: pytest.MonkeyPatch, over: bool
     ) -> None:
-        data, terms, selection = bent()
+        data, _, selection = bent()
         now = 0.0
 
         def select(*_: Any) -> Selection:
@@ -330,9 +335,10 @@ class TestOutOfTime:
         monkeypatch.setattr(stages, "with_scatter", lambda first, *_: (first, SCATTER))
         budget = Budget(1.0, clock=lambda: now)
         with within(budget):
-            found, scatter = stages.search_model(data, terms, 2)
-        assert found.fit is selection.fit
-        assert scatter is (None if over else SCATTER)
+            run = stages.TraceRun(data, 2, None)
+            run.search()
+        assert run.selection is selection
+        assert run.scatter is (None if over else SCATTER)
         assert ("the end of the search for effects" in budget.left_out) == over
 
 

@@ -23,12 +23,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import special
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.fitting.estimation.fit import Fit, nameless_spread
 from adis_gonio.fitting.estimation.readings import Readings
-from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm, Term, Where
+from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm, Where
 from adis_gonio.model.effects import AXES, Conditions
 from adis_gonio.tracing.named_candidates import choices_of_axes
 from adis_gonio.tracing.selection import Selection
@@ -48,8 +49,8 @@ class RidgeSolution:
     ----------
     terms : tuple of NamelessTerm
         Unnamed terms of the member.
-    widths : tuple of int
-        Number of amplitudes of each of these terms.
+    places : tuple of slice
+        Slice of `values` with the amplitudes of each of these terms.
     values : (p,) float
         Fitted amplitudes: of the base and named parameters (the fixed columns), then of `terms`.
     half : (p, k) float
@@ -63,7 +64,7 @@ class RidgeSolution:
     """
 
     terms: tuple[NamelessTerm, ...]
-    widths: tuple[int, ...]
+    places: tuple[slice, ...]
     values: Floats
     half: Floats
     used: float
@@ -112,11 +113,13 @@ class AveragedTerm(NamelessTerm):
         return np.zeros((n, 0) if self.enters_angle else (n, axes, 0))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class AveragedFit(Fit):
-    """Fit of a model with averaged unnamed functions.
+    """Fit of a model with named effects, to which the mean of several unnamed functions is added.
 
-    Its standard uncertainties include the differences between these functions.
+    Its terms are the named terms, then at most two averaged terms: one changes the angle, one the readings.
+    The base and named parameters were fitted again with these averaged terms. Its standard uncertainties
+    include the differences between the unnamed functions.
 
     Attributes
     ----------
@@ -124,10 +127,22 @@ class AveragedFit(Fit):
         Fit of each averaged alternative (member), with its weight; the weights sum to 1.
     inflation : float
         Factor on the variance of the noise with which the members were fitted.
+    selected : Fit
+        Fit of the selected model, whose unnamed terms the average replaces.
+    smooth : NamelessTerm
+        The most probable Gaussian process among the averaged functions.
+    weight : float
+        Total probability of all Gaussian processes, as opposed to formulas or no function.
+    promising : tuple of NamelessTerm
+        The Gaussian processes with the highest evidence.
     """
 
-    solutions: tuple[tuple[float, RidgeSolution], ...] = ()
-    inflation: float = 1.0
+    solutions: tuple[tuple[float, RidgeSolution], ...]
+    inflation: float
+    selected: Fit
+    smooth: NamelessTerm
+    weight: float
+    promising: tuple[NamelessTerm, ...]
 
     @cached_property
     def covariance(self) -> Floats:
@@ -152,11 +167,9 @@ class AveragedFit(Fit):
             rows = np.zeros((width + self.data.axes, len(one.values)))
             rows[:width, :width] = np.eye(width)
             # An unnamed function of the angle, or of more than time, moves no reading here.
-            start = width
-            for term, size in zip(one.terms, one.widths, strict=True):
+            for term, place in zip(one.terms, one.places, strict=True):
                 if term.covariates == ("time",) and not term.enters_angle:
-                    rows[width:, start : start + size] = term.columns(still, middle)[0]
-                start += size
+                    rows[width:, place] = term.columns(still, middle)[0]
             stated.append((weight, replace(one, values=rows @ one.values, half=rows @ one.half)))
         return mixed_covariance(stated, width + self.data.axes, self.inflation)
 
@@ -178,36 +191,15 @@ class AveragedFit(Fit):
         between = weights * (each - each @ weights[:, None] ** 2) / np.sqrt(self.inflation)
         return np.concatenate([*within, between], axis=1)
 
+    def can_predict(self, data: Readings, most: float) -> NDArray[np.bool_]:
+        """Return a mask (n,) of the dwells that the selected model predicts with sufficient certainty.
 
-@dataclass(frozen=True)
-class Averaged:
-    """A model with named effects, to which the mean of several possible unnamed functions is added.
-
-    Attributes
-    ----------
-    fit : Fit
-        Fit with the named terms, then at most two averaged terms: one changes the angle, one the readings.
-        The base and named parameters were fitted again with these averaged terms.
-    smooth : NamelessTerm
-        The most probable Gaussian process among the averaged functions.
-    weight : float
-        Total probability of all Gaussian processes, as opposed to formulas or no function.
-    candidates : tuple of NamelessTerm
-        The Gaussian processes with the highest evidence.
-    """
-
-    fit: AveragedFit
-    smooth: NamelessTerm
-    weight: float
-    candidates: tuple[NamelessTerm, ...]
-
-    @property
-    def named(self) -> tuple[Term, ...]:
-        """The named effects among the terms of the fit."""
-        return tuple(term for term in self.fit.terms if term.name is not None)
+        An average has no columns that could decide this.
+        """
+        return self.selected.can_predict(data, most)
 
 
-def average(selection: Selection, candidates: Sequence[NamelessTerm] | None = None) -> Averaged | None:
+def average(selection: Selection, candidates: Sequence[NamelessTerm] | None = None) -> AveragedFit | None:
     """Return a model with the mean of unnamed functions in addition to the named effects of a selection.
 
     The result is None if no unnamed function is needed to explain the readings.
@@ -226,12 +218,12 @@ def average(selection: Selection, candidates: Sequence[NamelessTerm] | None = No
     """
     if selection.data.noise_known and selection.inflation > 1:
         measured = _average(replace(selection, inflation=1.0), candidates)
-        if measured is not None and selection.with_fit(measured.fit).adequate:
+        if measured is not None and selection.with_fit(measured).adequate:
             return measured
     return _average(selection, candidates)
 
 
-def _average(selection: Selection, candidates: Sequence[NamelessTerm] | None) -> Averaged | None:
+def _average(selection: Selection, candidates: Sequence[NamelessTerm] | None) -> AveragedFit | None:
     """Return the average with the noise of a selection (`inflation`); None if no function is needed.
 
     `candidates` are the Gaussian processes to try; None tries all.
@@ -272,21 +264,25 @@ def _average(selection: Selection, candidates: Sequence[NamelessTerm] | None) ->
     # Each unnamed term with the weight of its member; the base and named parameters come first.
     averaged = _averaged_terms(
         [
-            (weight, term, amplitudes)
+            (weight, term, one.values[place])
             for weight, one in solutions
-            for term, amplitudes in zip(
-                one.terms, np.split(one.values[fixed.shape[1] :], np.cumsum(one.widths)), strict=False
-            )
+            for term, place in zip(one.terms, one.places, strict=True)
         ]
     )
     fit = fit.with_terms(
         [*(fit.terms[index] for index in own), *averaged],
         [*(fit.values.terms[index] for index in own), *(np.zeros(0) for _ in averaged)],
     ).refit()
-    weight = float(weights[: len(promising)].sum())
     # A fixed function has no parameters, but the degrees of freedom of its members are used.
-    spent = AveragedFit(fit.data, fit.terms, fit.values, fit.with_prior, solutions, selection.inflation)
-    return Averaged(spent, promising[0], weight, promising)
+    return AveragedFit(
+        *(fit.data, fit.terms, fit.values, fit.with_prior),
+        solutions=solutions,
+        inflation=selection.inflation,
+        selected=selection.fit,
+        smooth=promising[0],
+        weight=float(weights[: len(promising)].sum()),
+        promising=promising,
+    )
 
 
 def _covered_by_process(term: NamelessTerm, covered: set[tuple[Where, tuple[str, ...]]]) -> bool:
@@ -410,31 +406,22 @@ def solve_ridge(
         beside = orthonormal(fixed)
         left = added - beside @ (beside.T @ added)
         visible = float(np.linalg.norm(left) / np.linalg.norm(added))
-    widths = tuple(block.shape[1] for block in blocks)
-    return RidgeSolution(tuple(terms), widths, solved, half, float(((columns @ half) ** 2).sum()), visible)
+    cuts = np.cumsum([fixed.shape[1], *(block.shape[1] for block in blocks)]).tolist()
+    places = tuple(itertools.starmap(slice, itertools.pairwise(cuts)))
+    return RidgeSolution(tuple(terms), places, solved, half, float(((columns @ half) ** 2).sum()), visible)
 
 
 def _averaged_terms(members: Sequence[Member]) -> list[AveragedTerm]:
     """Return the averaged terms of these members: at most one for the readings, one for the angle."""
     made = []
-    for angle in (False, True):
-        mine = tuple(member for member in members if member[1].enters_angle == angle)
-        if not mine:
-            continue
-        first = max(mine, key=lambda member: member[0])[1]
-        covariates = tuple(dict.fromkeys(c for c in first.covariates))
-        axes = tuple(sorted({axis for _, term, _ in mine for axis in term.axes}))
-        made.append(
-            AveragedTerm(
-                label="average at the angle" if angle else "average at the readings",
-                covariates=covariates,
-                cost=0.0,
-                where="angle" if angle else "bias",
-                axes=axes,
-                basis=Basis(first.basis.form, covariates),
-                members=mine,
-            )
-        )
+    places: tuple[tuple[Where, str], ...] = (("bias", "readings"), ("angle", "angle"))
+    for where, place in places:
+        mine = tuple(member for member in members if member[1].enters_angle == (where == "angle"))
+        if mine:
+            first = max(mine, key=lambda member: member[0])[1]
+            axes = tuple(sorted({axis for _, term, _ in mine for axis in term.axes}))
+            label, basis = f"average at the {place}", Basis(first.basis.form, first.covariates)
+            made.append(AveragedTerm(label, first.covariates, 0.0, where, axes, basis, members=mine))
     return made
 
 
@@ -475,13 +462,8 @@ def processes(data: Readings) -> list[NamelessTerm]:
     total = sum(weight.values())
     out = []
     for term, amplitude in itertools.product(made, AMPLITUDES):
-        share = (
-            limits.nameless_share
-            * weight[term.covariates]
-            / total
-            / members[term.covariates]
-            / len(AMPLITUDES)
-        )
+        own = term.covariates
+        share = limits.nameless_share * weight[own] / total / members[own] / len(AMPLITUDES)
         label = f"{term.where}[{''.join('xyz'[k] for k in term.axes)}]~{term.basis.form} ({amplitude:g} u)"
         out.append(replace(term, prior_sd=amplitude * reading_u, cost=-math.log(share), label=label))
     return out

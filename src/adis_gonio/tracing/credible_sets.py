@@ -28,7 +28,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.jsonable import HIDDEN, JsonRecord
 from adis_gonio.base.numbers import format_percent, join_words
 from adis_gonio.fitting.estimation.terms import NamelessTerm, Term
-from adis_gonio.tracing.averaging import Averaged
+from adis_gonio.tracing.averaging import AveragedFit
 from adis_gonio.tracing.linear_problem import LinearProblem, span
 from adis_gonio.tracing.model_search import Model, posterior, skeleton
 from adis_gonio.tracing.selection import Selection
@@ -57,7 +57,7 @@ class Names:
     confounded: tuple[tuple[str, ...], ...]
 
 
-def judge(selection: Selection, averaged: Averaged | None = None) -> Names:
+def judge(selection: Selection, averaged: AveragedFit | None = None) -> Names:
     """Judge each named effect of the chosen model; return the accepted and the rejected names.
 
     A name is accepted if the models that contain it have most of the posterior (`certain`), and the model
@@ -66,7 +66,7 @@ def judge(selection: Selection, averaged: Averaged | None = None) -> Names:
 
     Parameters
     ----------
-    averaged : Averaged, optional
+    averaged : AveragedFit, optional
         Average that replaces the unnamed part of the model.
     """
     verdict, terms = selection.verdict, selection.problem.terms
@@ -90,7 +90,7 @@ def judge(selection: Selection, averaged: Averaged | None = None) -> Names:
     return Names(tuple(accepted), rejected, tuple(dict.fromkeys(confounded)))
 
 
-def unknown_of(selection: Selection, averaged: Averaged | None) -> list[NamelessTerm]:
+def unknown_of(selection: Selection, averaged: AveragedFit | None) -> list[NamelessTerm]:
     """Return the unnamed terms that may be the cause instead of a name.
 
     They are the unnamed terms of the chosen model. If the model has none, the result is the most probable
@@ -174,7 +174,7 @@ class CredibleSet(JsonRecord):
     present: float
 
 
-def credible_sets(selection: Selection, averaged: Averaged | None = None) -> tuple[CredibleSet, ...]:
+def credible_sets(selection: Selection, averaged: AveragedFit | None = None) -> tuple[CredibleSet, ...]:
     """Return the credible set of each cause in the chosen model, in the order of the model's terms.
 
     `averaged` is the average that replaces the unnamed part of the model, if any.
@@ -199,7 +199,7 @@ def merge_by_function(sets: Sequence[CredibleSet], likelier: Mapping[str, str]) 
     return tuple(one for k, one in enumerate(sets) if leads[k] not in leads[:k])
 
 
-def set_of(selection: Selection, cause: str, averaged: Averaged | None = None) -> CredibleSet:
+def set_of(selection: Selection, cause: str, averaged: AveragedFit | None = None) -> CredibleSet:
     """Return the credible set of one cause, given as its name or as an unnamed function's covariates.
 
     `averaged` is the average that replaces the unnamed part of the model, if any.
@@ -211,7 +211,7 @@ def set_of(selection: Selection, cause: str, averaged: Averaged | None = None) -
 
 
 def votes(
-    selection: Selection, cause: str, averaged: Averaged | None = None
+    selection: Selection, cause: str, averaged: AveragedFit | None = None
 ) -> tuple[dict[str, float], float]:
     """Return the probability of each possible name of a cause, and the probability that it is present.
 
@@ -220,7 +220,7 @@ def votes(
 
     Parameters
     ----------
-    averaged : Averaged, optional
+    averaged : AveragedFit, optional
         Average that replaces the unnamed part of the chosen model.
     """
     counted, none = selection.once(_count_votes, cause)
@@ -274,7 +274,7 @@ def owners_of(selection: Selection, cause: str, owner: Callable[[Term], str]) ->
     return {one: weight[one] / total for one in sorted(weight, key=lambda one: -weight[one])}
 
 
-def probability_of(selection: Selection, cause: str, averaged: Averaged | None = None) -> float:
+def probability_of(selection: Selection, cause: str, averaged: AveragedFit | None = None) -> float:
     """Return the probability that a cause of the chosen model is present and that its name is right.
 
     `averaged` is the average that replaces the unnamed part of the model, if any.

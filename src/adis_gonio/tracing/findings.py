@@ -40,9 +40,9 @@ from adis_gonio.fitting.estimation.readings import Unit
 from adis_gonio.fitting.estimation.terms import NamedTerm, NamelessTerm, Term
 from adis_gonio.fitting.fit_result import outputs_of
 from adis_gonio.fitting.uncertainty import missing_curvature
-from adis_gonio.model.effects import AXES, Conditions, catalogue, effect
+from adis_gonio.model.effects import AXES, Conditions, Parameter, catalogue, effect
 from adis_gonio.model.effects.stage_terms import StagePeriodic, alike
-from adis_gonio.tracing.averaging import Averaged, AveragedFit, AveragedTerm, middle_s
+from adis_gonio.tracing.averaging import AveragedFit, AveragedTerm, middle_s
 from adis_gonio.tracing.credible_sets import cause_name, probability_of
 from adis_gonio.tracing.linear_problem import LinearProblem, amplitudes, span
 from adis_gonio.tracing.model_search import Model, Search, posterior
@@ -66,7 +66,7 @@ def dof_of(selection: Selection) -> float:
 
 
 def finding_of(
-    selection: Selection, name: str, averaged: Averaged | None = None, judged: Selection | None = None
+    selection: Selection, name: str, averaged: AveragedFit | None = None, judged: Selection | None = None
 ) -> Finding:
     """Return the finding for the effect `name` of the chosen model: its parameters, test and probability.
 
@@ -74,7 +74,7 @@ def finding_of(
     ----------
     selection : Selection
         Chosen model with its fit.
-    averaged : Averaged, optional
+    averaged : AveragedFit, optional
         Average that replaces the unnamed part of the model.
     judged : Selection, optional
         Selection with the posterior that gives the probability; by default `selection`.
@@ -133,15 +133,10 @@ def differs_from_zero(finding: Finding) -> bool:
 
 def scatter_finding(scatter: Scatter, explains: float) -> Finding:
     """Return dwell-to-dwell scatter as a finding; `explains` is its share of the base model's excess χ²."""
-    return Finding(
-        effect=scatter.kind,
-        axes=(),
-        parameters={"scatter": Value(scatter.value, scatter.u, scatter.unit)},
-        p_value=scatter.p_value,
-        explains=explains,
-        probability=float(1 / (1 + np.exp(-scatter.log_odds))),
-        cause="Readings scatter from dwell to dwell by more than the samples within them do.",
-    )
+    parameters = {"scatter": Value(scatter.value, scatter.u, scatter.unit)}
+    probability = float(1 / (1 + np.exp(-scatter.log_odds)))
+    cause = "Readings scatter from dwell to dwell by more than the samples within them do."
+    return Finding(scatter.kind, (), parameters, scatter.p_value, explains, probability, cause=cause)
 
 
 def _p_value(selection: Selection, members: Sequence[int]) -> float:
@@ -161,7 +156,7 @@ def _p_value(selection: Selection, members: Sequence[int]) -> float:
 
 
 def unnamed_of(
-    selection: Selection, averaged: Averaged | None, judged: Selection | None = None
+    selection: Selection, averaged: AveragedFit | None, judged: Selection | None = None
 ) -> Unnamed | None:
     """Return the unnamed part of the result: structure in the readings that no named effect explains.
 
@@ -173,24 +168,18 @@ def unnamed_of(
     members = [k for k in selection.verdict.best if selection.problem.terms[k].name is None]
     terms = [term for k in members if isinstance(term := selection.problem.terms[k], NamelessTerm)]
     if terms:
+        covariates = tuple(dict.fromkeys(c for term in terms for c in term.covariates))
+        form = "; ".join(term.form for term in terms)
         causes = map(cause_name, terms)
-        return Unnamed(
-            covariates=tuple(dict.fromkeys(c for term in terms for c in term.covariates)),
-            form="; ".join(term.form for term in terms),
-            explains=0.0,
-            probability=min(probability_of(judged or selection, cause, averaged) for cause in causes),
-            p_value=_p_value(selection, members),
-        )
-    if averaged is not None:
-        smooth = averaged.smooth
-        return Unnamed(
-            covariates=smooth.covariates,
-            form=smooth.form,
-            explains=0.0,
-            probability=averaged.weight,
-            p_value=min(1.0, 1 - averaged.weight),
-        )
-    return None
+        probability = min(probability_of(judged or selection, cause, averaged) for cause in causes)
+        p_value = _p_value(selection, members)
+    elif averaged is not None:
+        covariates, form = averaged.smooth.covariates, averaged.smooth.form
+        probability = averaged.weight
+        p_value = min(1.0, 1 - probability)
+    else:
+        return None
+    return Unnamed(covariates, form, 0.0, probability, p_value)
 
 
 def rivals_of(selection: Selection) -> tuple[Rival, ...]:
@@ -251,27 +240,29 @@ def zeros_of(selection: Selection) -> dict[str, Value]:
     if data.unit.known:
         return {}
     fit = selection.fit
-    axes = tuple(AXES[: data.axes])
-    biased = {
-        letter
-        for term in fit.terms
-        if isinstance(term, NamedTerm) and term.constant
-        for letter in term.effect.axes
-    }
-    lacking = tuple(letter for letter in axes if letter not in biased)
+    axes = AXES[: data.axes]
+    lacking = tuple(letter for letter in axes if letter not in bias_places(fit))
     if lacking:
         zero = NamedTerm("bias", (), 0.0, effect("bias", lacking))
         values = replace(fit.values, terms=(*fit.values.terms, np.zeros(len(lacking))))
         fit = Fit(data, (*fit.terms, zero), values, fit.with_prior).refit()
-    stated = {f"bias_{letter}": Value(0.0, None, "mg") for letter in axes}
-    for index, term in enumerate(fit.terms):
-        if not (isinstance(term, NamedTerm) and term.constant):
-            continue
-        start = fit.slice_of(index).start
-        for place, parameter in enumerate(term.effect.parameters, start):
-            u = float(np.sqrt(fit.covariance[place, place] * selection.inflation))
-            stated[parameter.name] = Value(float(fit.values.parameters[place]), u, "mg", dof_of(selection))
+    stated: dict[str, Value] = {}
+    for letter in axes:
+        place = bias_places(fit)[letter]
+        u = float(np.sqrt(fit.covariance[place, place] * selection.inflation))
+        bias = float(fit.values.parameters[place])
+        stated[f"bias_{letter}"] = Value(bias, u, "mg", dof_of(selection))
     return in_units_of_file(Finding("bias", axes, stated, 1.0, 0.0, 1.0), data.unit).parameters
+
+
+def bias_places(fit: Fit) -> dict[str, int]:
+    """Return the place of each fitted bias among the parameters of a fit, by the letter of its axis."""
+    return {
+        letter: fit.slice_of(index).start + k
+        for index, term in enumerate(fit.terms)
+        if isinstance(term, NamedTerm) and term.constant
+        for k, letter in enumerate(term.effect.axes)
+    }
 
 
 def in_units_of_file(finding: Finding, unit: Unit) -> Finding:
@@ -522,17 +513,13 @@ def bias_at_middle(selection: Selection, finding: Finding) -> Finding:
     if not slopes.any() and not added.any():
         return finding
     stated = dict(finding.parameters)
-    for index, term in enumerate(fit.terms):
-        if not (isinstance(term, NamedTerm) and term.constant):
-            continue
-        places = range(fit.slice_of(index).start, fit.slice_of(index).stop)
-        for place, letter in zip(places, term.effect.axes, strict=True):
-            axis = AXES.index(letter)
-            slope = slopes[axis].copy()
-            slope[place] += 1.0
-            u = float(np.sqrt(slope @ fit.covariance @ slope * selection.inflation))
-            value = float(fit.values.parameters[place] + added[axis])
-            stated[f"bias_{letter}"] = replace(finding.parameters[f"bias_{letter}"], value=value, u=u)
+    for letter, place in bias_places(fit).items():
+        axis = AXES.index(letter)
+        slope = slopes[axis].copy()
+        slope[place] += 1.0
+        u = float(np.sqrt(slope @ fit.covariance @ slope * selection.inflation))
+        value = float(fit.values.parameters[place] + added[axis])
+        stated[f"bias_{letter}"] = replace(finding.parameters[f"bias_{letter}"], value=value, u=u)
     return replace(finding, parameters=stated)
 
 
@@ -588,7 +575,7 @@ def detectable(
         """
         return span(problem, [m for m in model if name is None or problem.terms[m].name != name])[0]
 
-    figures: dict[tuple[str, str, str], list[float]] = defaultdict(list)
+    figures: dict[tuple[str, Parameter], list[float]] = defaultdict(list)
     for k, term in enumerate(problem.terms):
         if not isinstance(term, NamedTerm) or len(term.effect.axes) > 1:
             continue
@@ -602,17 +589,15 @@ def detectable(
         # Threshold of the score, plus the quantile for 90 % power.
         reach = (np.sqrt(2 * max(float(found.prices[k]), 0.5)) + _POWER_90) * np.sqrt(found.inflation)
         for index, length in zip(term.amplitudes, lengths, strict=True):
-            parameter = term.effect.parameters[index]
-            figures[name, parameter.name, parameter.unit].append(
-                float(reach / length) if length > 1e-9 else np.inf
-            )
+            amplitude = float(reach / length) if length > 1e-9 else np.inf
+            figures[name, term.effect.parameters[index]].append(amplitude)
     medians = {key: float(np.median(values)) for key, values in figures.items()}
     out = {name: Detectable(None, "", "", reason) for name, reason in missing.items()}
-    for name in dict.fromkeys(name for name, _, _ in medians):
+    for name in dict.fromkeys(name for name, _ in medians):
         key = max((key for key in medians if key[0] == name), key=medians.__getitem__)
         seen = bool(np.isfinite(medians[key]))
         reason = "" if seen else "lies in what is fitted already"
-        out[name] = Detectable(medians[key] if seen else None, key[2], key[1], reason)
+        out[name] = Detectable(medians[key] if seen else None, key[1].unit, key[1].name, reason)
     for name in catalogue(part):
         out.setdefault(
             name, Detectable(None, "", "", "lies in the base model: this session cannot show it")

@@ -98,18 +98,14 @@ def with_scatter(
     if not max_effects or not data.noise_known or checks < limits.scatter_checks or untouched:
         return selection, None
     at_most = _evidence(selection)
-    best: tuple[float, Selection, Kind, float] | None = None
+    tried: list[tuple[float, float, Kind]] = []
     for kind in _kinds(data):
         size, again = _fit_component(data, kind, selection, promising, max_effects)
-        if again is None:
-            continue
-        score = _evidence(again) - price_of_scatter(data)
-        if best is None or score > best[0]:
-            best = (score, again, kind, size)
-    if best is None or best[0] <= at_most:
-        return selection, None
-    score, _, kind, size = best
-    at_most = max(at_most, _evidence_of_processes(selection))
+        tried.append((-math.inf if again is None else _evidence(again), size, kind))
+    score, size, kind = max(tried)
+    score -= price_of_scatter(data)
+    if score > at_most:
+        at_most = max(at_most, _evidence_of_processes(selection))
     if score <= at_most:
         return selection, None
     chosen = _select_with(data, kind, size, terms, max_effects)
@@ -159,11 +155,8 @@ def _evidence_of_processes(selection: Selection) -> float:
         beside = orthonormal(fit.jacobian)
         left = fit.residual.ravel()
         gained = evidence(fit, beside, left - beside @ (beside.T @ left), candidates)
-        prices = sum(
-            float(selection.found.prices[k])
-            for k in selection.verdict.best
-            if selection.problem.terms[k].label in {term.label for term in kept}
-        )
+        numbers = [k for k in selection.verdict.best if selection.problem.terms[k] in kept]
+        prices = float(selection.found.prices[numbers].sum())
         best = max(best, _restricted(fit, base_only=True) - prices + float(gained.max()))
     return best
 

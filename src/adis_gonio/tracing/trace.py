@@ -195,7 +195,7 @@ class TraceRun:
         Candidate terms; for each effect that is not a candidate, the reason.
     selection, scatter : Selection, Scatter or None
         The chosen model; the dwell-to-dwell scatter under which it was chosen, None without scatter.
-    averaged : Averaged or None
+    averaged : AveragedFit or None
         Average over unnamed functions, used instead of the chosen unnamed function; None if not needed.
     fits, steps, errors, figures
         Nested fits from the base model to the chosen model; the name of the term added at each step; the
@@ -244,7 +244,7 @@ class TraceRun:
     @property
     def final(self) -> Selection:
         """The selection for the result: the chosen model, with averaged unnamed functions if any."""
-        return self.selection if self.averaged is None else self.selection.with_fit(self.averaged.fit)
+        return self.selection if self.averaged is None else self.selection.with_fit(self.averaged)
 
     @property
     def judged(self) -> Selection:
@@ -258,10 +258,18 @@ class TraceRun:
 
     def search(self) -> None:
         """Choose a model of the readings; include dwell-to-dwell scatter if this is more probable."""
-        if self.closed:
-            self.selection, self.scatter = select(self.measured, self.terms, self.max_effects), None
-        else:
-            self.selection, self.scatter = search_model(self.measured, self.terms, self.max_effects)
+        current().tell("the search for effects")
+        first = select(self.measured, self.terms, self.max_effects)
+        if spent():
+            current().leave_out("the end of the search for effects")
+        found: tuple[Selection, Scatter | None] = (first, None)
+        if not self.closed:
+            found = attempt(
+                "scatter from dwell to dwell as a cause",
+                lambda: with_scatter(first, self.terms, self.max_effects),
+                found,
+            )
+        self.selection, self.scatter = found
         if self.scatter is not None:
             self.data = self.scatter.applied(self.data)
         self.checking = self.data.checking
@@ -278,11 +286,9 @@ class TraceRun:
             if current().left_out:
                 break
             before = dict(vars(self))
-            known = [error for error in self.errors[len(self.forced) :] if error is not None]
-            least = min(known, default=math.inf)
+            least = min(self.errors[len(self.forced) :], default=math.inf)
             self.nest(self.selection.without_functions(gone))
-            after = self.errors[-1] if self.errors else None
-            if after is not None and after > limits.worse * least:
+            if self.errors and self.errors[-1] > limits.worse * least:
                 vars(self).update(before)
                 break
 
@@ -298,11 +304,10 @@ class TraceRun:
         promising = selection.promising(self.terms)
         self.fold = validation.Fold(promising, self.averaged, self.max_effects)
         self.fits, self.steps = validation.nest_fits(selection, self.averaged)
-        unguarded: list[float | None] = [None for _ in self.fits]
-        self.errors = attempt(
+        self.errors: list[float] = attempt(
             "the choice of the longest model that is never worse",
             lambda: validation.guard_errors(selection, self.fits, self.fold),
-            unguarded,
+            [],
         )
 
     def judge_names(self) -> None:
@@ -490,24 +495,6 @@ def shown_findings(
     return (*seen, findings.scatter_finding(scatter, max(1.0 - sum(of_step.values()), 0.0)))
 
 
-def search_model(
-    training: Readings, terms: Sequence[Term], max_effects: int
-) -> tuple[Selection, Scatter | None]:
-    """Choose a model of the readings, with dwell-to-dwell scatter if this explains them better.
-
-    `training` are the readings without check dwells, `terms` all candidate terms, and `max_effects` is the
-    largest number of terms of a model.
-    """
-    current().tell("the search for effects")
-    first = select(training, terms, max_effects)
-    if spent():
-        current().leave_out("the end of the search for effects")
-    plain: tuple[Selection, Scatter | None] = (first, None)
-    return attempt(
-        "scatter from dwell to dwell as a cause", lambda: with_scatter(first, terms, max_effects), plain
-    )
-
-
 def reported_errors(figures: Sequence[ErrorFigures]) -> tuple[float, float] | None:
     """Return the held-out errors of the base model and of the final model; None if not measured.
 
@@ -644,10 +631,10 @@ def restrict_candidates(
         if found.finding in _MOVED and _out_of_reach(data, found):
             # ψ = α − θ: a part turned further by e has a slip of −e.
             begins[True, number] = -found.error_deg[0]
-    kept = [term for term in terms if (term.enters_angle, term.dwell) not in excluded]
     return [
-        replace(term, begins=begins[key]) if (key := (term.enters_angle, term.dwell)) in begins else term
-        for term in kept
+        replace(term, begins=begins.get(key, 0.0))
+        for term in terms
+        if (key := (term.enters_angle, term.dwell)) not in excluded
     ]
 
 

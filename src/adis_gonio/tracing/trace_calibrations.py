@@ -28,7 +28,7 @@ from adis_gonio.model.effects import AXES, catalogue, effect
 from adis_gonio.model.records import MG_PER_G, Session
 from adis_gonio.record.provenance import Provenance, provenance_of
 from adis_gonio.tracing.averaging import AveragedFit, AveragedTerm, middle_s
-from adis_gonio.tracing.findings import clock_at_middle, follows_clock
+from adis_gonio.tracing.findings import bias_places, clock_at_middle, follows_clock
 from adis_gonio.tracing.trace_result import TraceResult
 
 _CLOCK = "follows the clock of the session, which no later reading shares"
@@ -215,12 +215,8 @@ def _stated(fit: Fit, corrected: Sequence[NamedTerm], at: Floats) -> list[tuple[
 
 def _biases(fit: Fit) -> dict[str, float]:
     """Return the biases that were fitted, in mg, by name."""
-    return {
-        one.name: float(value)
-        for term, own in zip(fit.terms, fit.values.terms, strict=True)
-        if isinstance(term, NamedTerm) and term.constant
-        for one, value in zip(term.effect.parameters, own, strict=True)
-    }
+    values = fit.values.parameters
+    return {f"bias_{letter}": float(values[place]) for letter, place in bias_places(fit).items()}
 
 
 def _is_corrected(term: NamedTerm, result: TraceResult) -> bool:

@@ -22,7 +22,7 @@ from adis_gonio.fitting.estimation.fit import Fit, adequacy, predictable_dwells
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import Term
 from adis_gonio.model.effects import AXES
-from adis_gonio.tracing.averaging import Averaged, average
+from adis_gonio.tracing.averaging import AveragedFit, average
 from adis_gonio.tracing.credible_sets import Names
 from adis_gonio.tracing.linear_problem import span
 from adis_gonio.tracing.selection import Selection, select
@@ -57,23 +57,6 @@ class HeldOut:
         if turned is not None and np.isnan(turned).any():
             turned = None
         return HeldOut(self.residual[index], turned, self.predicted[index])
-
-
-@dataclass(frozen=True)
-class Chosen:
-    """A model that was chosen and fitted without the held-out dwells.
-
-    Attributes
-    ----------
-    fit : Fit
-        Fit that predicts the held-out dwells.
-    by : Fit
-        Fit with the covariance that decides which dwells are predicted. For an average this is the selected
-        model, since an average has no columns; otherwise it is `fit`.
-    """
-
-    fit: Fit
-    by: Fit
 
 
 def residuals_on(fit: Fit, data: Readings) -> HeldOut:
@@ -219,7 +202,7 @@ def _poses_repeat(data: Readings, blocks: list[NDArray[np.bool_]]) -> bool:
 def cross_validate(
     data: Readings,
     designs: dict[str, list[NDArray[np.bool_]]],
-    fit: Callable[[Readings], Chosen],
+    fit: Callable[[Readings], Fit],
 ) -> dict[str, HeldOut]:
     """Return for each design the residuals of held-out dwells under models fitted without their fold.
 
@@ -233,9 +216,9 @@ def cross_validate(
         predicted = np.ones(len(data), dtype=bool)
         for mask in with_progress(masks, begun, folds_in_all):
             check()
-            answer = fit(data.rows(~mask))
-            predicted[mask] = answer.by.can_predict(data.rows(mask), limits.predicted)
-            left = residuals_on(answer.fit, data.rows(mask))
+            chosen = fit(data.rows(~mask))
+            predicted[mask] = chosen.can_predict(data.rows(mask), limits.predicted)
+            left = residuals_on(chosen, data.rows(mask))
             residual[mask] = left.residual
             if left.angle_rad is not None:
                 turned[mask] = left.angle_rad
@@ -295,14 +278,14 @@ class Fold:
     ----------
     terms : sequence of Term
         Candidate terms inside a fold.
-    averaged : Averaged or None
+    averaged : AveragedFit or None
         Average over unnamed functions that was found with all dwells; None without one.
     max_effects : int
         Largest number of terms of a model.
     """
 
     terms: Sequence[Term]
-    averaged: Averaged | None
+    averaged: AveragedFit | None
     max_effects: int
     _made: dict[tuple[int, str], tuple[Fit | None, HeldOut]] = field(
         default_factory=dict, init=False, repr=False, compare=False
@@ -327,23 +310,21 @@ class Fold:
             Fit with the effects that are kept in every fold; by default effects are chosen again.
         """
         fresh = {name: masks for name, masks in designs.items() if (id(fit), name) not in self._made}
-        made = cross_validate(data, fresh, self.chosen_anew if fit is None else _keep_effects(fit))
+        made = cross_validate(data, fresh, self.chosen_anew if fit is None else fit.again)
         self._made.update({(id(fit), name): (fit, left) for name, left in made.items()})
         return {name: self._made[id(fit), name][1] for name in designs}
 
-    def chosen_anew(self, rows: Readings) -> Chosen:
+    def chosen_anew(self, rows: Readings) -> Fit:
         """Choose and fit a model of `rows`, the dwells that are not held out."""
         chosen = select(
             rows, self.terms, self.max_effects, explored=limits.fold_explored, rounds=limits.fold_rounds
         )
         if self.averaged is not None:
-            again = average(chosen, self.averaged.candidates)
-            if again is not None:
-                return Chosen(again.fit, by=chosen.fit)
-        return Chosen(chosen.fit, by=chosen.fit)
+            return average(chosen, self.averaged.promising) or chosen.fit
+        return chosen.fit
 
 
-def nest_fits(selection: Selection, averaged: Averaged | None) -> tuple[list[Fit], list[str]]:
+def nest_fits(selection: Selection, averaged: AveragedFit | None) -> tuple[list[Fit], list[str]]:
     """Return fits of nested models, from the base model to the chosen model, and the name added at each.
 
     Terms that every model must have (forced terms) are added first, then in each step the term that
@@ -365,11 +346,11 @@ def nest_fits(selection: Selection, averaged: Averaged | None) -> tuple[list[Fit
         steps.append(terms[-1].shown_as)
         fits.append(selection.base.with_terms(terms, [values[term.label] for term in terms]).refit())
     if averaged is not None:
-        if len(averaged.named) == len(selection.terms):
-            steps.append(averaged.fit.terms[-1].shown_as)
-            fits.append(averaged.fit)
+        if sum(term.name is not None for term in averaged.terms) == len(selection.terms):
+            steps.append(averaged.terms[-1].shown_as)
+            fits.append(averaged)
         else:
-            fits[-1] = averaged.fit
+            fits[-1] = averaged
     return fits, steps
 
 
@@ -407,8 +388,7 @@ def error_figures(
             [(fold, data, fit) for fit in models], selection.terms, [len(fits) - 1] if several else []
         )
         designs = folds(data)
-        shown = {name: f", {mask.sum()} of {len(data)} dwells" for name, mask in counts.items()}
-        shown = {name: "" if counts[name].all() else text for name, text in shown.items()}
+        shown = {k: "" if m.all() else f", {m.sum()} of {len(data)} dwells" for k, m in counts.items()}
         design = "; ".join(f"{name} ({len(designs[name])} folds{text})" for name, text in shown.items())
         if several:
             design += "; effects chosen again in each fold"
@@ -457,15 +437,12 @@ def figures_of_fit(fit: Fit, measured: Readings, left: Sequence[HeldOut]) -> Err
 def heldout_errors(data: Readings, left: Sequence[HeldOut]) -> dict[str, Any]:
     """Return the fields of `ErrorFigures` that follow from `left`, the residuals on held-out dwells."""
     turned = [part.angle_rad for part in left if part.angle_rad is not None]
-    errors: dict[str, Any] = {"heldout_rms": _heldout(left, data), "angle_rms_deg": rms_deg(turned)}
+    heldout = _heldout(left, data) if left else None
+    errors: dict[str, Any] = {"heldout_rms": heldout, "angle_rms_deg": rms_deg(turned)}
     if left and not data.model.freedom:  # with freedom the axes share an unknown attitude
         each = np.sqrt((np.concatenate([part.residual for part in left]) ** 2).mean(axis=0))
         errors["heldout_by_axis"] = {AXES[k]: float(value) for k, value in enumerate(each)}
     return errors
-
-
-def _keep_effects(fit: Fit) -> Callable[[Readings], Chosen]:
-    return lambda rows: Chosen(again := fit.again(rows), by=again)
 
 
 def _parameters(fit: Fit) -> int:
@@ -499,20 +476,20 @@ def leave_each_out(fits: Sequence[Fit]) -> tuple[list[list[HeldOut]], str]:
         )
     design = f"each of {len(data)} dwells in turn, effects kept: the others are too few to choose any from"
     designs = {design: singles}
-    return [list(cross_validate(data, designs, _keep_effects(fit)).values()) for fit in fits], design
+    return [list(cross_validate(data, designs, fit.again).values()) for fit in fits], design
 
 
-def guard_errors(selection: Selection, fits: Sequence[Fit], fold: Fold) -> list[float | None]:
+def guard_errors(selection: Selection, fits: Sequence[Fit], fold: Fold) -> list[float]:
     """Return the held-out errors of nested models that decide how many terms the final model has.
 
     In each fold the effects are kept and only their values are fitted.
 
-    An error is None if no dwell can be held out. `check` dwells are excluded, since they must not
+    The list is empty if no dwell can be held out. `check` dwells are excluded, since they must not
     influence the choice. `fits` are the nested models; `fold` has the settings for a choice without each
     fold.
     """
     if leaves_too_few(selection.fit) or len(fits) == 1:
-        return [None for _ in fits]
+        return []
     data = selection.data
     # A formula that was found with all dwells was influenced by the held-out dwells, and so was an average.
     final = fits[-1] if fold.averaged is None else None
@@ -520,9 +497,9 @@ def guard_errors(selection: Selection, fits: Sequence[Fit], fold: Fold) -> list[
     return [_heldout(left, data) for left in held_out_alike(models, selection.terms, [-1])[0]]
 
 
-def _heldout(parts: Sequence[HeldOut], data: Readings) -> float | None:
-    """Return the root mean square of the residuals in `parts`; None if `parts` is empty."""
-    return rms(np.concatenate([part.residual for part in parts]), data.by_axis) if parts else None
+def _heldout(parts: Sequence[HeldOut], data: Readings) -> float:
+    """Return the root mean square of the residuals in `parts`."""
+    return rms(np.concatenate([part.residual for part in parts]), data.by_axis)
 
 
 def rms_deg(turned: list[Floats]) -> float | None:
@@ -560,28 +537,23 @@ def reject_names(names: Names, reasons: dict[str, str]) -> Names:
     return Names(accepted, rejected, tuple(dict.fromkeys((*names.confounded, *more))))
 
 
-def longest_acceptable(errors: Sequence[float | None], most: int, least: int = 0) -> int:
+def longest_acceptable(errors: Sequence[float], most: int, least: int = 0) -> int:
     """Return the number of terms of the longest nested model with a held-out error that is not worse.
 
     Not worse means at most `limits.worse` times the error of any shorter model. `errors` are the held-out
     errors, the base model first; at least `least` and at most `most` terms are allowed. The result is
-    `most` if an error is None.
+    `most` if `errors` is empty, because no dwell could be held out.
     """
-    known = [error for error in errors if error is not None]
-    if len(known) < len(errors):
-        return most
     count = most
-    while count > least and known[count] > limits.worse * min(known[least : count + 1]):
+    while errors and count > least and errors[count] > limits.worse * min(errors[least : count + 1]):
         count -= 1
     return count
 
 
-def refuted_functions(
-    selection: Selection, fits: Sequence[Fit], errors: Sequence[float | None]
-) -> list[Term]:
+def refuted_functions(selection: Selection, fits: Sequence[Fit], errors: Sequence[float]) -> list[Term]:
     """Return the model's unnamed functions that make the prediction of held-out dwells worse.
 
-    `errors` are the held-out errors of the nested `fits`, None if no dwell could be held out.
+    `errors` are the held-out errors of the nested `fits`, empty if no dwell could be held out.
     """
     forced = sum(term.forced for term in selection.terms)
     stay = fits[longest_acceptable(errors, len(fits) - 1, forced)]
@@ -593,7 +565,7 @@ def refuted_functions(
 def never_worse(
     names: Names,
     steps: Sequence[str],
-    errors: Sequence[float | None],
+    errors: Sequence[float],
     reported: tuple[float, float] | None,
     unit: str = "mg",
     least: int = 0,
@@ -609,9 +581,9 @@ def never_worse(
         Names of the longest model.
     steps : sequence of str
         Name of the term that each model adds to the one before.
-    errors : sequence of float or None
-        Held-out errors of the nested models, the base model first; effects are kept in the folds. If an
-        error is None, nothing is cut.
+    errors : sequence of float
+        Held-out errors of the nested models, the base model first; effects are kept in the folds. If there
+        are none, nothing is cut.
     reported : tuple of 2 float, optional
         Reported errors of the base model and the longest model, which may refer to other dwells.
 
@@ -620,13 +592,12 @@ def never_worse(
     The number of steps to keep, and the names without those of the other steps.
     """
     last = len(steps)
-    known = [error for error in errors if error is not None]
-    if len(known) < len(errors):
+    if not errors:
         return last, names
     stated_worse = reported is not None and reported[1] > limits.worse * reported[0]
-    count = longest_acceptable(known, last - 1 if last > least and stated_worse else last, least)
+    count = longest_acceptable(errors, last - 1 if last > least and stated_worse else last, least)
     cut = set(steps) - set(steps[:count])
-    before, after = min(known[least : count + 1]), known[last]
+    before, after = min(errors[least : count + 1]), errors[last]
     if reported is not None and after <= limits.worse * before:
         before, after = reported
     reasons = dict.fromkeys(
