@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.base.numbers import (
     counted,
     format_number,
@@ -20,7 +19,7 @@ from adis_gonio.base.numbers import (
     with_unit,
 )
 from adis_gonio.base.uncertainty import Detectable
-from adis_gonio.model.effects import catalogue, effect
+from adis_gonio.model.effects import AXES, catalogue, effect
 from adis_gonio.model.effects.base import Parameter
 from adis_gonio.model.records import Session
 from adis_gonio.tracing.trace_result import Finding, TraceResult
@@ -291,17 +290,10 @@ def gains(result: TraceResult) -> str:
     unit = format_unit(before.unit)
     if exact(result):
         return f"The base model leaves {format_number(before.residual_rms)} {unit}."
-    parts = [
-        f"The residual goes from {format_number(before.residual_rms)} to"
-        f" {format_number(after.residual_rms)} {unit}"
-        f"{format_reduction(before.residual_rms, after.residual_rms)}"
-    ]
+    parts = [f"The residual goes {_fall(before.residual_rms, after.residual_rms, f' {unit}')}"]
     if before.heldout_rms is not None and after.heldout_rms is not None:
         left, kept = format_number(after.heldout_rms), format_number(after.heldout_kept)
-        parts.append(
-            f"on held-out data from {format_number(before.heldout_rms)} to {left} {unit}"
-            f"{format_reduction(before.heldout_rms, after.heldout_rms)}"
-        )
+        parts.append(f"on held-out data {_fall(before.heldout_rms, after.heldout_rms, f' {unit}')}")
         if after.heldout_kept is not None and kept != left:
             parts[-1] += (
                 f", effects chosen again each time, or to {kept} {unit} with the effects of this model kept"
@@ -309,12 +301,14 @@ def gains(result: TraceResult) -> str:
     else:
         parts.append("there were too few data to hold any out, so this is not verified on other data")
     if before.angle_rms_deg is not None and after.angle_rms_deg is not None:
-        parts.append(
-            f"the error of the angle from {format_number(before.angle_rms_deg)}° to "
-            f"{format_number(after.angle_rms_deg)}°"
-            f"{format_reduction(before.angle_rms_deg, after.angle_rms_deg)}"
-        )
+        parts.append(f"the error of the angle {_fall(before.angle_rms_deg, after.angle_rms_deg, '°', '°')}")
     return "; ".join(parts) + "."
+
+
+def _fall(before: float, after: float, unit: str, unit_before: str = "") -> str:
+    """Return an error before and after as text, such as `from 2 to 0.1 mg (20 times less)`."""
+    numbers = f"from {format_number(before)}{unit_before} to {format_number(after)}{unit}"
+    return numbers + format_reduction(before, after)
 
 
 def confounded(result: TraceResult, most: int = 4) -> list[str]:
@@ -361,22 +355,14 @@ def unnamed(result: TraceResult) -> str:
 
 
 def owners(result: JointResult) -> list[str]:
-    """Describe for each cause whether its amplitudes belong to the stage, to each part or to each session.
+    """Describe for each cause whether its amplitudes belong to the stage, the part or the session.
 
     Each possibility has its probability; those below 1 % are omitted.
     """
     return [
-        f"{cause}: {', '.join(f'{_OWNERS[one]} {format_percent(p)}' for one, p in by.items() if p >= 0.01)}"
+        f"{cause}: {', '.join(f'{one} {format_percent(p)}' for one, p in by.items() if p >= 0.01)}"
         for cause, by in result.owners.items()
     ]
-
-
-_OWNERS = {
-    "stage": "the stage",
-    "part": "each part",
-    "all parts": "all parts alike",
-    "session": "each session",
-}
 
 
 def session_shares(result: JointResult) -> list[str]:
@@ -477,10 +463,6 @@ def _parameter(name: str, entry: Detectable) -> Parameter | None:
     kind = catalogue().get(name)
     if kind is None or not entry.parameter:
         return None
-    try:
-        made = effect(name, ("x", "y", "z"))
-    except AdisGonioError:
-        return None
     stem = entry.parameter.rsplit("_", 1)[0]
-    alike = [p for p in made.parameters if p.name.rsplit("_", 1)[0] == stem]
+    alike = [p for p in effect(name, AXES).parameters if p.name.rsplit("_", 1)[0] == stem]
     return next((p for p in alike if p.name == entry.parameter), alike[0] if alike else None)
