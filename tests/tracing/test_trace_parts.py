@@ -1052,12 +1052,12 @@ class TestAverages:
         spent, columns, target = self.fitted(
             selection, (0.75, (line,)), (0.0, (curve,)), (0.25, (wave, curve))
         )
-        assert [(weight, [own.label for own in one.terms]) for weight, one in spent.solutions] == [
+        assert [(one.weight, [own.label for own in one.terms]) for one in spent.solutions] == [
             (0.75, ["line"]),
             (0.25, ["wave", "curve"]),
         ]
         one, two = (np.linalg.lstsq(columns[k], target, rcond=None)[0] for k in (0, 2))
-        for (_, solution), expected in zip(spent.solutions, (one, two), strict=True):
+        for solution, expected in zip(spent.solutions, (one, two), strict=True):
             assert solution.values == pytest.approx(expected, rel=1e-3, abs=1e-4)
         # The law of total variance, in units of the noise that is assumed.
         within = [np.linalg.inv(columns[k].T @ columns[k])[:6, :6] for k in (0, 2)]

@@ -61,6 +61,8 @@ class RidgeSolution:
     visible : float
         Share (0 to 1) of the contribution of `terms` that the fixed columns could not reproduce. It is 1 if
         `terms` is empty and for Gaussian processes, since their priors keep them small.
+    weight : float
+        Posterior weight of the member among those of an average.
     """
 
     terms: tuple[NamelessTerm, ...]
@@ -69,6 +71,7 @@ class RidgeSolution:
     half: Floats
     used: float
     visible: float
+    weight: float = 1.0
 
     def columns(self, there: Fit, width: int) -> Floats:
         """Return the whitened columns (rows, p) of base model, named terms and this member's terms.
@@ -123,8 +126,8 @@ class AveragedFit(Fit):
 
     Attributes
     ----------
-    solutions : tuple of (float, RidgeSolution)
-        Fit of each averaged alternative (member), with its weight; the weights sum to 1.
+    solutions : tuple of RidgeSolution
+        Fit of each averaged alternative (member); their weights sum to 1.
     inflation : float
         Factor on the variance of the noise with which the members were fitted.
     selected : Fit
@@ -137,7 +140,7 @@ class AveragedFit(Fit):
         The Gaussian processes with the highest evidence.
     """
 
-    solutions: tuple[tuple[float, RidgeSolution], ...]
+    solutions: tuple[RidgeSolution, ...]
     inflation: float
     selected: Fit
     smooth: NamelessTerm
@@ -152,7 +155,7 @@ class AveragedFit(Fit):
     @cached_property
     def used(self) -> float:
         """Mean degrees of freedom of the members (base, named and unnamed terms), by their weights."""
-        return sum(weight * one.used for weight, one in self.solutions)
+        return sum(one.weight * one.used for one in self.solutions)
 
     @property
     def joint_covariance(self) -> Floats:
@@ -163,14 +166,14 @@ class AveragedFit(Fit):
         """
         width, stated = len(self.values.parameters), []
         middle, still = Conditions(time_s=np.array([middle_s(self)])), np.zeros((1, self.data.axes))
-        for weight, one in self.solutions:
+        for one in self.solutions:
             rows = np.zeros((width + self.data.axes, len(one.values)))
             rows[:width, :width] = np.eye(width)
             # An unnamed function of the angle, or of more than time, moves no reading here.
             for term, place in zip(one.terms, one.places, strict=True):
                 if term.covariates == ("time",) and not term.enters_angle:
                     rows[width:, place] = term.columns(still, middle)[0]
-            stated.append((weight, replace(one, values=rows @ one.values, half=rows @ one.half)))
+            stated.append(replace(one, values=rows @ one.values, half=rows @ one.half))
         return mixed_covariance(stated, width + self.data.axes, self.inflation)
 
     def carried(self, there: Fit) -> Floats:
@@ -181,13 +184,10 @@ class AveragedFit(Fit):
         differences between members.
         """
         width = len(self.values.parameters)
-        weights = np.sqrt([weight for weight, _ in self.solutions])
-        columns = [member.columns(there, width) for _, member in self.solutions]
-        within = [
-            w * each @ member.half
-            for w, each, (_, member) in zip(weights, columns, self.solutions, strict=True)
-        ]
-        each = np.stack([c @ m.values for c, (_, m) in zip(columns, self.solutions, strict=True)], axis=1)
+        weights = np.sqrt([one.weight for one in self.solutions])
+        columns = [(one, one.columns(there, width)) for one in self.solutions]
+        within = [weight * own @ one.half for weight, (one, own) in zip(weights, columns, strict=True)]
+        each = np.stack([own @ one.values for one, own in columns], axis=1)
         between = weights * (each - each @ weights[:, None] ** 2) / np.sqrt(self.inflation)
         return np.concatenate([*within, between], axis=1)
 
@@ -264,8 +264,8 @@ def _average(selection: Selection, candidates: Sequence[NamelessTerm] | None) ->
     # Each unnamed term with the weight of its member; the base and named parameters come first.
     averaged = _averaged_terms(
         [
-            (weight, term, one.values[place])
-            for weight, one in solutions
+            (one.weight, term, one.values[place])
+            for one in solutions
             for term, place in zip(one.terms, one.places, strict=True)
         ]
     )
@@ -327,8 +327,8 @@ def fit_members(
     target: Floats,
     pool: Sequence[tuple[float, tuple[NamelessTerm, ...]]],
     weights: Floats,
-) -> tuple[tuple[float, RidgeSolution], ...]:
-    """Fit each member of a pool that has a weight; return the fits with their weights, which sum to 1.
+) -> tuple[RidgeSolution, ...]:
+    """Fit each member of a pool that has a weight; return the fits, whose weights sum to 1.
 
     Parameters
     ----------
@@ -341,28 +341,27 @@ def fit_members(
     weights : (m,) float
         Posterior weight of each member; 0 drops it.
     """
-    likely = np.flatnonzero(weights).tolist()
-    solved = [(float(weights[k]), solve_ridge(selection, fixed, target, pool[k][1])) for k in likely]
+    solved = [
+        replace(solve_ridge(selection, fixed, target, pool[k][1]), weight=float(weights[k]))
+        for k in np.flatnonzero(weights).tolist()
+    ]
     # Members that base and named terms could imitate are dropped, unless this would drop all of them.
-    seen = [(weight, member) for weight, member in solved if member.visible >= limits.visible] or solved
-    total = sum(weight for weight, _ in seen)
-    return tuple((weight / total, member) for weight, member in seen)
+    seen = [member for member in solved if member.visible >= limits.visible] or solved
+    total = sum(member.weight for member in seen)
+    return tuple(replace(member, weight=member.weight / total) for member in seen)
 
 
-def mixed_covariance(
-    solutions: Sequence[tuple[float, RidgeSolution]], width: int, inflation: float
-) -> Floats:
+def mixed_covariance(solutions: Sequence[RidgeSolution], width: int, inflation: float) -> Floats:
     """Return the covariance (width, width) of the first `width` values of the members' fits.
 
     It contains the uncertainty within each member and the differences between members, both in units of the
-    noise variance times `inflation`. Each entry of `solutions` is the weight of a member and its fit; the
-    weights add up to 1.
+    noise variance times `inflation`. The weights of `solutions` add up to 1.
     """
-    mean = np.sum([weight * one.values[:width] for weight, one in solutions], axis=0)
+    mean = np.sum([one.weight * one.values[:width] for one in solutions], axis=0)
     covariance = np.zeros((width, width))
-    for weight, one in solutions:
+    for one in solutions:
         half, away = one.half[:width], one.values[:width] - mean
-        covariance += weight * (half @ half.T + np.outer(away, away) / inflation)
+        covariance += one.weight * (half @ half.T + np.outer(away, away) / inflation)
     return covariance
 
 
