@@ -230,7 +230,7 @@ def test_what_cannot_be_used_is_refused_in_one_line(session, error, words):
 
 
 def test_an_unknown_part_and_filter_are_wrong_usage():
-    with pytest.raises(UsageError, match="give gyro or accelerometer"):
+    with pytest.raises(UsageError, match="no part 'magnetometer'; it has accelerometer, gyro"):
         fit_allan(still(samples(WHITE, 1)), "magnetometer")
     with pytest.raises(UsageError, match="give 0 to 6"):
         fit_allan(still(samples(WHITE, 1)), filter_m=7)

@@ -42,7 +42,7 @@ from adis_gonio.fitting.allan.spectral_likelihood import (
     subtract_sinusoids,
     together,
 )
-from adis_gonio.fitting.estimation.readings import mg_per_unit
+from adis_gonio.fitting.estimation.readings import GYRO, known_part, mg_per_unit
 from adis_gonio.fitting.estimation.screening import steps_of
 from adis_gonio.fitting.gyros.turn_integration import dps_per_unit
 from adis_gonio.model.records import Dwell, Session
@@ -347,12 +347,11 @@ def rests_of(
         axis never changes, or the filter of an ADIS1635x is unknown.
     """
     where = session.source or session.title or "session"
-    if part not in PARTS:
-        raise UsageError(f"'{part}' is no part of the sensor: give {' or '.join(PARTS)}")
+    of_gyros = known_part(part) == GYRO
     held = [
         (dwell, series)
         for dwell in session.dwells
-        if (series := dwell.gyro if part == "gyro" else dwell.accel) is not None
+        if (series := dwell.gyro if of_gyros else dwell.accel) is not None
     ]
     if not held:
         if session.dwells:

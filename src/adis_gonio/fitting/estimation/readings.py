@@ -796,7 +796,7 @@ def quantized_means(variance_mg2: Floats, quantum_mg: Floats) -> Floats:
     """Return the variance (dwells, axes) in mg² of each dwell's mean by rounding to the converter's steps.
 
     `quantum_mg` (axes,) are the steps; `variance_mg2` (dwells, axes) is the variance of the rounded
-    samples.
+    samples. Both may be of one axis, (dwells,) and a number.
     """
     step = np.where(quantum_mg > 0, quantum_mg, 1.0)
     # Noise before the converter, in steps: subtract the variance of rounding.

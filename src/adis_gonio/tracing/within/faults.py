@@ -43,7 +43,7 @@ from scipy import ndimage, optimize, special
 from adis_gonio.base.arrays import Floats, robust_sd
 from adis_gonio.base.numbers import format_number
 from adis_gonio.base.uncertainty import FOUND_WITHIN, INADEQUATE, Detectable, Value
-from adis_gonio.fitting.estimation.readings import Readings, quantization_variance
+from adis_gonio.fitting.estimation.readings import Readings, quantized_means
 from adis_gonio.fitting.estimation.screening import LIVELY, run_lengths
 from adis_gonio.fitting.estimation.spectrum import p_of_equal_variances
 from adis_gonio.model.records import Session
@@ -297,17 +297,15 @@ def _coarse(samples: Samples, axis: int, reach: int) -> float:
     step = float(samples.quantum[axis])
     if not step > 0:
         return 1.0
-    rows = [values[:, axis : axis + 1] for values in samples.values]
-    variance = np.array([float(values.var()) for values in rows])
+    variance = np.array([values[:, axis].var() for values in samples.values])
     worth = np.maximum(samples.counts / reach, 1.0)
     on_means = float(np.mean(np.maximum(variance - step**2 / 12, 0.0) / worth))
-    if float(np.mean(quantization_variance(rows, np.ones(1), np.array([step])))) <= on_means:
+    if float(quantized_means(variance, np.array(step)).mean()) <= on_means:
         return 1.0
-    k = np.arange(1, 50)
 
     def excess(sigma: float) -> float:
-        left = float((np.exp(-4 * np.pi**2 * k**2 * sigma**2) / k**2).sum()) / (2 * np.pi**2)
-        return left - sigma**2 / float(np.mean(worth))
+        rounded = quantized_means(np.array(sigma**2 + 1 / 12), np.ones(()))
+        return float(rounded) - sigma**2 / float(np.mean(worth))
 
     hiding = float(optimize.brentq(excess, 1e-3, 2.0))
     dof = float(np.sum(np.maximum(worth - 1, 1.0)))
