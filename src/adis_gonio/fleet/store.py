@@ -32,7 +32,7 @@ NAME = "adis-gonio.index"
 """File name that the store has in the first folder."""
 APPLICATION_ID = 0x41444749
 """Number in the file's header that identifies a store: the letters `ADGI`."""
-VERSION = 2
+VERSION = 3
 IN_MEMORY = ":memory:"
 
 _CREATE = (
