@@ -335,7 +335,7 @@ class TestOutOfTime:
         monkeypatch.setattr(stages, "with_scatter", lambda first, *_: (first, SCATTER))
         budget = Budget(1.0, clock=lambda: now)
         with within(budget):
-            run = stages.TraceRun(data, 2, None)
+            run = stages.TraceRun(data, 2, ())
             run.search()
         assert run.selection is selection
         assert run.scatter is (None if over else SCATTER)
