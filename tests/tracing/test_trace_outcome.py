@@ -34,11 +34,12 @@ from adis_gonio.tracing.findings import (
     rivals_of,
     scatter_finding,
     unnamed_of,
-    unnamed_with_share,
 )
 from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.scatter import Scatter
+from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.trace import (
+    TraceRun,
     correct_slips,
     likelier_functions,
     restrict_candidates,
@@ -46,7 +47,7 @@ from adis_gonio.tracing.trace import (
     with_positions,
 )
 from adis_gonio.tracing.trace_figures import Panel, view_residual, view_uncertainty, views_of
-from adis_gonio.tracing.trace_result import ErrorFigures, Finding, TraceResult, Unnamed
+from adis_gonio.tracing.trace_result import ErrorFigures, Finding, TraceResult
 from tracing.small_problems import (
     G,
     U,
@@ -708,12 +709,16 @@ class TestWhatHasNoName:
             assert unnamed_of(replace(selection, adequate=adequate), None) is None
 
     def test_its_share_is_that_of_its_steps(self) -> None:
-        unnamed = Unnamed(("time",), "a form", 0.0, 0.9, 0.01)
-        stepped = unnamed_with_share(unnamed, {"bias": 0.7, "unnamed: a": 0.1, "unnamed: b": 0.05})
+        selection = chosen(biased(), [self.wave], ((0,), 1.0))
+        run: Any = SimpleNamespace(selection=selection, averaged=None, judged=None, functions_checked=True)
+        stepped = TraceRun.unnamed(run, {"bias": 0.7, "unnamed: a": 0.1, "unnamed: b": 0.05})
         assert stepped is not None
         assert stepped.explains == pytest.approx(0.15)
-        assert unnamed_with_share(unnamed, {"bias": 0.7}) == unnamed
-        assert unnamed_with_share(None, {"unnamed: a": 0.1}) is None
+        assert TraceRun.unnamed(run, {"bias": 0.7}) == unnamed_of(selection, None)
+        run.functions_checked = False
+        unchecked = TraceRun.unnamed(run, {})
+        assert unchecked is not None
+        assert unchecked.probability == limits.certain
 
 
 class TestExcess:

@@ -343,17 +343,6 @@ def shares(steps: Sequence[str], excess: Sequence[float]) -> dict[str, float]:
     return found
 
 
-def unnamed_with_share(unnamed: Unnamed | None, of_step: dict[str, float]) -> Unnamed | None:
-    """Return the unnamed part (None if there is none) with its share of the base model's excess χ².
-
-    It is the share of the steps that added an unnamed term. `of_step` are the shares of all effects.
-    """
-    if unnamed is None:
-        return None
-    known = catalogue()
-    return replace(unnamed, explains=sum((of_step[name] for name in of_step if name not in known), 0.0))
-
-
 @dataclass(frozen=True)
 class Mixture:
     """Parameter values of M probable models, for an uncertainty that covers the choice of the model.

@@ -399,16 +399,18 @@ class TraceRun:
         """True if there are at least `limits.least_choice` dwells, so that folds can check functions."""
         return len(self.measured) >= limits.least_choice
 
-    @property
-    def unnamed(self) -> Unnamed | None:
-        """The unnamed part of the model as a record for the result; None without such a part.
+    def unnamed(self, of_step: Mapping[str, float]) -> Unnamed | None:
+        """Return the unnamed part of the model as a record for the result; None without such a part.
 
-        If no fold could check it, its probability is limited to the threshold for accepting a name.
+        `of_step` has the share of the base model's excess χ² that each step removes. If no fold could check
+        the unnamed part, its probability is limited to the threshold for accepting a name.
         """
         found = findings.unnamed_of(self.selection, self.averaged, self.judged)
-        if found is None or self.functions_checked:
-            return found
-        return replace(found, probability=min(found.probability, limits.certain))
+        if found is None:
+            return None
+        known, most = catalogue(), 1.0 if self.functions_checked else limits.certain
+        explains = sum((share for name, share in of_step.items() if name not in known), 0.0)
+        return replace(found, explains=explains, probability=min(found.probability, most))
 
     def finished(self) -> TraceResult:
         """Return the result of a completed trace, with advice for the next session."""
@@ -429,7 +431,7 @@ class TraceRun:
             found=seen,
             sets=merge_by_function(self.sets, self.likelier),
             confounded=self.names.confounded,
-            unnamed=findings.unnamed_with_share(self.unnamed, of_step),
+            unnamed=self.unnamed(of_step),
             detectable={
                 **findings.detectable(selection.found, selection.verdict.best, self.missing, part),
                 **({"bias": ZERO_OF_COUNTS} if len(zeros) == self.data.axes else {}),
