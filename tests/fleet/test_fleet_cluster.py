@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -21,7 +22,8 @@ from fleet.sessions import kept_in, write_fleet
 from fleet.test_fleet_command import FLEET, SOON_S, until
 from programs import running
 
-pytest.importorskip("distributed")
+if find_spec("distributed") is None:  # its import would take each collection half a second
+    pytest.skip("distributed is not installed", allow_module_level=True)
 PAGE = Path(__file__).parents[2] / "docs" / "many_sessions.md"
 QUIET = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
 

@@ -36,14 +36,13 @@ def each_name_in_two() -> list[int]:
 SESSIONS = {
     "none": range(3),
     "one": range(0, len(NAMES), 3),
-    "two": each_name_in_two(),
     "uncatalogued": [list(GRAMMAR).index(name) for name in ENTRIES],
     "beyond": range(0, len(BEYOND), 5),
     SPACE + "none": range(2),
     SPACE + "one": range(0, len(SPACE_NAMES), 2),
     SPACE + "two": range(3),
 }
-"""Every third name alone and every name in two; of unnamed ones each way to enter or a third."""
+"""Numbers of the sessions; those of "two" are `each_name_in_two`, which takes a while."""
 
 
 def at_least(share: float, hits: Iterable[bool]) -> bool:
@@ -71,7 +70,7 @@ def pools() -> Iterator[Pools]:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_trace_names_what_is_there_and_nothing_else(kind: str, pools: Pools) -> None:
-    verdicts = rounds(kind, SESSIONS[kind], SEED, pools)
+    verdicts = rounds(kind, each_name_in_two() if kind == "two" else SESSIONS[kind], SEED, pools)
     hidden = {name for v in verdicts for name in v.truth}
     assert not any(v.failure for v in verdicts), next(v.failure for v in verdicts if v.failure)
     if kind == "none":
@@ -106,7 +105,7 @@ def test_trace_in_space_names_what_the_norm_shows(kind: str, pools: Pools) -> No
     if kind == "none":
         assert not any(v.claimed or v.unnamed for v in verdicts), told(verdicts)
     elif kind == "one":
-        assert {name for v in verdicts for name in v.truth} == set(SPACE_NAMES)
+        assert len({name for v in verdicts for name in v.truth}) == len(verdicts)
         assert at_least(0.90, (v.exact for v in verdicts)), told(verdicts)
     else:
         assert missed(v.exact for v in verdicts) <= 1, told(verdicts)
