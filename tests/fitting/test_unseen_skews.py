@@ -57,6 +57,23 @@ def test_six_poses_cover_the_truth_although_they_show_no_skew():
     assert np.mean(inside) > 0.93  # 0.4 without what skews may be
 
 
+def test_five_faces_cover_the_truth_although_one_bias_is_unknown():
+    """The part never lies on its sixth face: gain and bias of z are one equation."""
+    inside = []
+    for seed in range(15):
+        rng = np.random.default_rng([19, seed])
+        truth = hidden(rng)
+        faces = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]])
+        up = faces + rng.normal(0, 0.01, (5, 3))
+        up = np.repeat(up / np.linalg.norm(up, axis=1, keepdims=True), 3, axis=0)
+        result = fit(poses(rng, up, truth, "adis16354"), "ml")
+        assert {"bias_z", "scale_z"} <= set(result.undetermined)
+        found = result.as_dict()["parameters"]
+        inside += [abs(one["value"] - truth[name]) <= one["U"] for name, one in found.items() if one["U"]]
+    assert len(inside) > 25
+    assert np.mean(inside) > 0.9  # 0.5 if the fit may go far along the direction that the faces do not show
+
+
 def test_faces_of_a_cube_are_not_made_less_sure_by_skews_that_they_do_not_feel():
     rng = np.random.default_rng(3)
     truth = hidden(rng) | {f"skew_{pair}": 0.0 for pair in ("xy", "xz", "yz")}

@@ -44,9 +44,13 @@ ANYWHERE_RAD = math.pi / math.sqrt(3)
 """Largest standard uncertainty (rad) of the start angle that counts as determined: the standard deviation
 of an angle that may be anywhere on a turn. Turning the whole part in its fixture changes no reading, so the
 declared zero of the stage alone determines the start angle."""
-_SPREAD = 0.5
-"""Prior standard deviation (natural units) of a bias during the search for undetermined directions: with it
-a flat valley of χ² has a minimum, where the undetermined directions can be found."""
+TYPICAL = 0.05
+"""Prior standard deviation (natural units) of a bias during the search for undetermined directions, and
+standard uncertainty along such a direction. With it a flat valley of χ² has a minimum near the nominal
+values. Far from there, terms of second order would change the gains and biases that count as determined.
+"""
+_ZERO_SPREAD = 0.5
+"""The prior standard deviation for readings in counts, whose zero has no nominal value."""
 _PARTICIPATES = 1e-4
 """Share of a parameter's squared direction that lies in the undetermined space, above which the parameter
 counts as undetermined."""
@@ -161,7 +165,8 @@ def determine(data: Readings, held: Sequence[int] = ()) -> Determination:
     out = list(held)
     while True:
         # A prior on the bias keeps this search from running along directions without information.
-        term = _bias(data, _SPREAD * data.gravity_mg)
+        spread = TYPICAL if data.unit.known else _ZERO_SPREAD
+        term = _bias(data, spread * data.gravity_mg)
         rough = Fit.begin(data).with_terms((term,), (np.zeros(data.axes),))
         rough = rough.refit(_ITERATIONS, 1e-6, _directions(rough, free, np.zeros((len(free), 0))))
         null = _null_space(rough, free)

@@ -30,6 +30,7 @@ from adis_gonio.base.numbers import counted, format_fixed, signed, with_unit
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.determination import (
+    TYPICAL,
     Determination,
     NoiseAssumptions,
     covariance,
@@ -94,7 +95,7 @@ def fit_ml(readings: Readings) -> FitResult:
         inverse = covariance(determination.fisher, determination.free, null)
         natural = natural_units(fit.data)
         response, rotation = response_of(fit, inverse, natural), by_rotation_of(fit, inverse, natural)
-        sources = sources_of(readings, noise, fit, response, determination.held, rotation)
+        sources = sources_of(readings, noise, fit, response, determination.held, rotation, TYPICAL * null)
     made, open_ = Origin(readings, noise, fit, determination), (*unseen, *held, *lost)
     about: dict[str, Any] = {"chi2": settled.chi2, "dof": settled.dof, "undetermined": open_}
     return result_of(made, reported, sources, warnings, method="ml", **about)

@@ -265,6 +265,7 @@ def sources_of(
     response: Floats,
     held: Sequence[int] = (),
     rotation: Floats | None = None,
+    unseen: Floats | None = None,
 ) -> Sources:
     """Return all sources that contribute to the uncertainty of fitted parameters.
 
@@ -283,6 +284,9 @@ def sources_of(
     rotation : (p, m, 3) float, optional
         Derivative of the parameters by the rotation of each link, in natural units per rad; None without
         links.
+    unseen : (p, k) float, optional
+        Changes of the parameters by one standard uncertainty along each undetermined direction, in natural
+        units. A parameter that counts as determined may have a small part of them.
     """
     links = () if rotation is None else (_links(fit, rotation),)
     return Sources(
@@ -293,7 +297,7 @@ def sources_of(
             _gravity(data, fit, len(response)),
             _quantization(data, response),
             _temperature(data, noise, fit, response),
-            _model(data, noise, fit, response, held),
+            _model(data, noise, fit, response, held, unseen),
             *links,
         )
     )
@@ -475,12 +479,18 @@ def _temperature(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Fl
 
 
 def _model(
-    data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats, held: Sequence[int]
+    data: Readings,
+    noise: NoiseAssumptions,
+    fit: Fit,
+    response: Floats,
+    held: Sequence[int],
+    unseen: Floats | None = None,
 ) -> Source:
     """Return the source of uncertainty for an incomplete model.
 
     `response` (p, n, axes) is the derivative of the parameters by each reading. The source covers a
-    residual beyond the noise, and the biases and skews with the indices `held`, which were taken as zero.
+    residual beyond the noise, the biases and skews with the indices `held`, which were taken as zero, and
+    the `unseen` changes of the parameters along undetermined directions.
     Numbers in the offset registers may compensate a bias, or add to it: their size is part of the u of the
     bias.
     """
@@ -522,19 +532,20 @@ def _model(
     )
     statistical = noise.extra_mg > 0 and not acts.any()
     stated = figures is not None or not acts.shape[2]
-    widths = [extra.shape[1], acts.shape[2]]
+    alone = np.zeros((len(response), 0)) if unseen is None else unseen
+    widths = [extra.shape[1], acts.shape[2], alone.shape[1]]
     return Source(
         MODEL,
         *(_STATISTICAL if statistical else _STATED),
         u if stated or noise.extra_mg else None,
-        np.concatenate([extra, blind], axis=1),
+        np.concatenate([extra, blind, alone], axis=1),
         "; ".join(notes) or "the residual shows no more than the noise",
-        np.repeat([noise.dof, np.inf], widths),
-        np.repeat([_RESIDUAL, _POOLED], widths),
+        np.repeat([noise.dof, np.inf, np.inf], widths),
+        np.repeat([_RESIDUAL, _POOLED, _POOLED], widths),
         noise.extra_mg**2 * np.eye(axes),
         acts_mg=acts if acts.any() else None,
         # A further reading has the same biases; the influence of skews and effects depends on its pose.
-        further_mg=np.pad(biases[0], ((0, 0), (extra.shape[1], others.shape[2]))),
+        further_mg=np.pad(biases[0], ((0, 0), (extra.shape[1], others.shape[2] + alone.shape[1]))),
     )
 
 
