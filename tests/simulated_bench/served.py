@@ -69,7 +69,7 @@ class _Thread:
         self._loop.thread = self
         self._real.start()
 
-    def join(self) -> None:
+    def finish(self) -> None:
         while not self.ended:
             if not self.ready:
                 raise OvertimeError("the thread of the sampler waits for ever")
@@ -156,7 +156,7 @@ class _Executor:
     def shutdown(self, *, cancel_futures: bool) -> None:
         self._ending = True
         self._tasks.clear()
-        self._thread.join()
+        self._thread.finish()
 
     def _work(self) -> None:
         while self._tasks or not self._ending:
