@@ -54,7 +54,6 @@ _SLOWEST_S = 2.0
 """Median step of the rows in s from which a time without a unit may be in ms, so that it is refused."""
 Runs = list[tuple[int, Any]]
 """Values of a column with one value for each dwell, each with the first row of its run; None if empty."""
-_SIGNS = {"0": 0, "+1": 1, "1": 1, "+1.0": 1, "1.0": 1, "-1": -1, "-1.0": -1}
 
 
 class SamplesTable:
@@ -151,24 +150,19 @@ class SamplesTable:
             if text.lower() not in ("fit", "check"):
                 raise ValueError("is neither 'fit' nor 'check'")
             return text.lower()
-        if name == "approach":
-            sign = _SIGNS.get(text.replace(",", ".").replace("−", "-"))
-            if sign is None:
-                raise ValueError("is neither +1 nor -1")
-            return sign
         multiply, divide, add = self.head.columns[name].scale
         try:
             value = self._plain_number(text) * multiply / divide + add
         except ValueError:
             value = math.nan
-        if name == "position":
-            # A spreadsheet may write an integer as 3.0 or 3,0.
-            if not (value.is_integer() and abs(value) < COLUMNS[name].largest):
-                raise ValueError("is not an integer of at most 9 digits")
-            return int(value)
+        # A spreadsheet may write an integer as 3.0 or 3,0.
+        if name == "approach" and value not in (-1, 0, 1):
+            raise ValueError("is neither +1 nor -1")
+        if name == "position" and not (value.is_integer() and abs(value) < COLUMNS[name].largest):
+            raise ValueError("is not an integer of at most 9 digits")
         if not abs(value) <= COLUMNS[name].largest:
             raise ValueError("is not an angle of a stage in degrees; leave it empty if it is unknown")
-        return value
+        return value if name in ("angle_deg", "turned_deg") else int(value)
 
     # -- rows -----------------------------------------------------------------------------------------
 
