@@ -34,7 +34,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from enum import StrEnum
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -42,6 +42,7 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats, central_differences
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.jsonable import ComputedOnce
 
 
 def _scan(factor: Floats, term: Floats) -> Floats:
@@ -185,8 +186,13 @@ APART_S = 1e9
 """Time between the begins of two sessions on the clock of their histories; any lag ends within it."""
 
 
+def _late(conditions: Conditions, history: str, axis: int | None, tau_s: float) -> tuple[Floats, Floats]:
+    times, values = conditions.covariate(history)
+    return lagged(times, values if axis is None else values[:, axis], conditions.clock_s, tau_s)
+
+
 @dataclass(frozen=True)
-class Conditions:
+class Conditions(ComputedOnce):
     """Circumstances of each of n rows (samples or readings); a field that was not recorded is None.
 
     Attributes
@@ -284,23 +290,13 @@ class Conditions:
         mean = self.covariate("temperature_c")
         return mean if self.temperatures_c is None else self.temperatures_c[:, axis]
 
-    @cached_property
-    def _late(self) -> dict[tuple[str, int | None, float], tuple[Floats, Floats]]:
-        """Results of `late`, two arrays (n,), by its arguments: a search repeats a few time constants."""
-        return {}
-
     def late(self, history: str, axis: int | None, tau_s: float) -> tuple[Floats, Floats]:
         """Return a recorded quantity (n,) lagged with time constant τ, and its derivative by τ, (n,) per s.
 
         `history` is the field with the quantity, such as `temperature_history`; `axis` is the column of a
-        history that has one column for each axis, else None.
+        history that has one column for each axis, else None. A search repeats a few time constants.
         """
-        key = history, axis, tau_s
-        if key not in self._late:
-            times, values = self.covariate(history)
-            series = values if axis is None else values[:, axis]
-            self._late[key] = lagged(times, series, self.clock_s, tau_s)
-        return self._late[key]
+        return self.once(_late, history, axis, tau_s)
 
     @property
     def clock_s(self) -> Floats:
