@@ -445,13 +445,10 @@ class BenchApp(App[None]):
         `answer` is the name of the answer.
         """
         question = self.state.question
-        impossible = ""
         if not isinstance(question, events.PositionAsked):
-            impossible = "no position is asked for now"
-        elif answer in ("repeat", "undo") and not question.can_undo:
-            impossible = "there is no dwell before this one"
-        if impossible:
-            self.state.say(impossible)
+            self.state.say("no position is asked for now")
+        elif answer not in words.answers_to(question):
+            self.state.say("there is no dwell before this one")
         else:
             self._give(answer)
         self.show()

@@ -68,18 +68,10 @@ def title(state: BenchState) -> str:
 
 
 def _place_name(position: Position) -> str:
-    """Return the short name of a position in the list, such as `90° from above check`.
-
-    ` from above` is added if the position is approached from above, and ` check` if it is a check dwell.
-    """
-    if position.angle_deg is not None:
-        where = f"{position.angle_deg:g}°"
-    elif position.direction is None:
-        where = "attitude"
-    else:
-        where = describe_direction(position.direction)
-    side = " from above" if position.approach == -1 else ""
-    return where + side + (" check" if position.use == "check" else "")
+    """Return the name of a position in the list, such as `90° from above (check)` or `reads +x −z`."""
+    if position.direction is None:
+        return str(position)
+    return describe_direction(position.direction) + (" (check)" if position.use == "check" else "")
 
 
 def plan_rows(state: BenchState, height: int) -> list[tuple[str, str]]:
