@@ -220,7 +220,7 @@ class SessionRunner(Operator):
         """
         archive = Archive.open_existing(path)
         try:
-            bench = SessionBench(sensor, Settings.from_dict(archive.header().settings))
+            bench = SessionBench(sensor, Settings.from_dict(archive.header.settings))
             if auto:
                 bench.require_auto(archive.plan())
             bench.require_same_sensor(archive)
@@ -409,7 +409,7 @@ class SessionRunner(Operator):
         if self._advisor is None or not ledger.done:
             return Reply.STOP
         yield Advising(len(ledger.done))
-        rounds = [record["value"] for record in ledger.archive.records("advised")]
+        rounds = ledger.archive.values("advised")
         visited = len(ledger.plan) - rounds[0]["planned"] if rounds else 0
         advice = self._advisor.advise(read_session(ledger.archive.path), visited, self._reachable)
         count, number = len(advice.positions), len(rounds) + 1

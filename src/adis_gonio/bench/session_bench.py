@@ -139,7 +139,7 @@ class SessionBench:
 
     def require_same_sensor(self, archive: ArchiveView) -> None:
         """Raise `SessionError` if a session was begun with another sensor."""
-        path, header, url = archive.path, archive.header(), self.source.url
+        path, header, url = archive.path, archive.header, self.source.url
         if self.source.part.name != header.variant:
             raise SessionError(
                 f"{path}: began with an {header.variant.upper()}, this is an"
@@ -296,7 +296,7 @@ class SessionBench:
         if self.virtual_time:
             return float(runs[0]["clock_offset_s"])
         # The clocks of two runs are related only by the wall clock, which may have been set back.
-        since = datetime.fromisoformat(self.utc()) - datetime.fromisoformat(archive.header().created_utc)
+        since = datetime.fromisoformat(self.utc()) - datetime.fromisoformat(archive.header.created_utc)
         ends = [attempt.ended_bus_s + attempt.offset_s for attempt in archive.attempts()]
         return max([since.total_seconds(), *ends]) - bus_s
 

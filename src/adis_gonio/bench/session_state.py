@@ -56,7 +56,7 @@ class Ledger:
 
     def __init__(self, archive: Archive, now: Callable[[], float]) -> None:
         self.archive = archive
-        self.header = archive.header()
+        self.header = archive.header
         self.plan = archive.plan()
         self.recorded_s: float | None = None
         self.done = {attempt.place: attempt.number for attempt in archive.dwells()}

@@ -316,12 +316,9 @@ class ArchiveView(Closing):
         finally:
             self._connection.rollback()
 
-    def header(self) -> schema.Header:
-        """Return the header of the session; it is read from the file once, because it never changes."""
-        return self._header
-
     @cached_property
-    def _header(self) -> schema.Header:
+    def header(self) -> schema.Header:
+        """Header of the session; it is read from the file once, because it never changes."""
         stored = {row["key"]: row["value"] for row in self._rows("meta", "key")}
         with translated_errors(self.path):
             values = schema.checked_value("table meta", schema.META, stored)
@@ -343,10 +340,13 @@ class ArchiveView(Closing):
                 schema.checked_value(f"record {row['record']}: {row['kind']}", shape, row["value"])
         return rows
 
+    def values(self, kind: str) -> list[Any]:
+        """Return the values of the records of a kind, as they were written."""
+        return [record["value"] for record in self.records(kind)]
+
     def last(self, kind: str) -> Any:
         """Return the value of the last record of a kind; None if there is no such record."""
-        records = self.records(kind)
-        return records[-1]["value"] if records else None
+        return next(reversed(self.values(kind)), None)
 
     def runs(self) -> list[schema.JsonDict]:
         """Return the rows of the table `runs`: one for each time a program opened the session to record."""
@@ -355,7 +355,7 @@ class ArchiveView(Closing):
     def plan(self) -> Plan:
         """Return the plan of the session with all its extensions."""
         extended = self.last("plan")
-        return self.header().plan if extended is None else Plan.from_dict(extended)
+        return self.header.plan if extended is None else Plan.from_dict(extended)
 
     def attempts(self) -> list[schema.Attempt]:
         """Return all attempts to record a dwell, complete or not, in the order of their numbers."""
@@ -372,7 +372,7 @@ class ArchiveView(Closing):
 
     def _refuse_strangers(self, stored: list[schema.Attempt]) -> None:
         """Raise `DataError` if an attempt with a valid row contradicts the header, the plan or the runs."""
-        header, places = self.header(), len(self.plan())
+        header, places = self.header, len(self.plan())
         runs = {run["run"]: run["continues"] for run in self.runs()}
         of_number = {attempt.number: attempt.run for attempt in stored}
         for attempt in stored:
@@ -418,13 +418,11 @@ class ArchiveView(Closing):
         """
         dwells = self.dwells()
         counted, places = {attempt.number for attempt in dwells}, {attempt.place for attempt in dwells}
-        kept = [
-            record["value"] for record in self.records("doubt") if record["value"]["attempt"] in counted
-        ]
+        kept = [doubt for doubt in self.values("doubt") if doubt["attempt"] in counted]
         skipped = {
-            record["value"]["place"]: record["value"]
-            for record in self.records("contradiction")
-            if record["value"]["place"] not in places and counted.issuperset(record["value"]["dwells"])
+            doubt["place"]: doubt
+            for doubt in self.values("contradiction")
+            if doubt["place"] not in places and counted.issuperset(doubt["dwells"])
         }
         for place in skipped:
             self._require_place(place)
@@ -457,11 +455,11 @@ class ArchiveView(Closing):
 
     def withdrawn(self) -> set[int]:
         """Return the numbers of complete attempts that the operator declared invalid afterwards."""
-        return {record["value"] for record in self.records("withdrawn")}
+        return set(self.values("withdrawn"))
 
     def skipped(self) -> set[int]:
         """Return the numbers, from 0, of the plan's positions that were skipped and have no dwell."""
-        skipped = {self._require_place(place) for place in {r["value"] for r in self.records("skipped")}}
+        skipped = set(map(self._require_place, self.values("skipped")))
         return skipped - {a.place for a in self.dwells()}
 
     def pending(self) -> list[int]:

@@ -151,7 +151,7 @@ def read_session(path: str | Path) -> Session:
         The file cannot be read here, or has no session yet.
     """
     with ArchiveView(path) as view, view.snapshot():
-        header, plan, stored = view.header(), view.plan(), view.dwells()
+        header, plan, stored = view.header, view.plan(), view.dwells()
         pending, skipped = view.pending(), view.skipped()
         if plan.name == FREE_TURN:
             return _free_turn(path, view)
@@ -207,17 +207,17 @@ def _free_turn(path: str | Path, view: ArchiveView) -> Session:
         "during the turn",
     )
     recording = Dwell(0, time_s, **session_series(columns))
-    return _session(path, view.header(), facts, notes, dwells=(), recording=recording, free_turn=True)
+    return _session(path, view.header, facts, notes, dwells=(), recording=recording, free_turn=True)
 
 
 def _dropped(view: ArchiveView) -> dict[int, int]:
     """Return the number of scans that were left out of each attempt, by its number."""
-    return {r["value"]["attempt"]: r["value"]["scans"] for r in view.records("dropped")}
+    return {one["attempt"]: one["scans"] for one in view.values("dropped")}
 
 
 def _facts(view: ArchiveView) -> JsonDict:
     """Return facts that both sessions of dwells and free turns have, such as settings and plan."""
-    header, truth = view.header(), view.last("truth")
+    header, truth = view.header, view.last("truth")
     return {
         "url": header.url,
         "note": header.note,
@@ -230,11 +230,11 @@ def _facts(view: ArchiveView) -> JsonDict:
         "configuration": view.last("configuration"),
         "registers": {when: view.last(f"registers-{when}") for when in ("before", "configured", "after")},
         "runs": view.runs(),
-        "problems": [record["value"] for record in view.records("problem")],
-        "remarks": [record["value"] for record in view.records("remark")],
+        "problems": view.values("problem"),
+        "remarks": view.values("remark"),
         "scanning": view.last("scanning"),
         "offset_writes": view.offset_writes(),
-        "advised": [record["value"] for record in view.records("advised")],
+        "advised": view.values("advised"),
         "reversed": bool(view.last("reversed")),
         "doubts": view.doubts() + _changed_registers(view),
         "skipped": sorted(view.skipped()),

@@ -200,7 +200,7 @@ class OffsetWriter:
         self.session = load(self.path)
         self._tell = tell
         with ArchiveView(self.path) as view:
-            self._bench = SessionBench(sensor, Settings.from_dict(view.header().settings))
+            self._bench = SessionBench(sensor, Settings.from_dict(view.header.settings))
             self._bench.require_same_sensor(view)
             own, angles = self.settings, [position.angle_deg for position in view.plan().positions]
         self._angle_deg = own.angle_deg
