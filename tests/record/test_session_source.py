@@ -10,7 +10,7 @@ from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.record.archive import Archive
 from adis_gonio.record.archive_tables import Attempt, Header
-from adis_gonio.record.blocks import ValueBlock, count_alarms, cut, join, session_columns
+from adis_gonio.record.blocks import ValueBlock, block_series, count_alarms, cut, join
 from adis_gonio.record.plans import Position, plan
 from adis_gonio.record.source import ChipSource, Settings, has_frames, open_source
 
@@ -60,12 +60,12 @@ def test_blocks_of_values_are_cut_and_joined():
     assert again.lost == 3
     assert len(parts[0]) == 10
     assert whole.units == ("mg", "mg", "mg", "°C")
-    assert list(session_columns(whole)) == ["ax", "ay", "az", "temp_c"]
+    assert list(block_series(whole)) == ["accel", "temperature_c"]
 
 
 def test_a_recording_without_accelerometers_is_refused():
     with open_sensor(URL) as sensor, pytest.raises(UsageError, match="YACCL_OUT, ZACCL_OUT"):
-        session_columns(sensor.read_scans(5, ["XACCL_OUT", "SUPPLY_OUT"]))
+        block_series(sensor.read_scans(5, ["XACCL_OUT", "SUPPLY_OUT"]))
 
 
 def test_a_bus_is_opened_as_the_chip_behind_it():

@@ -19,12 +19,12 @@ from adis_gonio.base.numbers import format_uncertain, signed
 from adis_gonio.base.uncertainty import NORMAL_95
 from adis_gonio.bench.events import RETAKE, Guard, GuardKind, Problem, TurnMeasured, Vector
 from adis_gonio.model.effects.base import AXES
-from adis_gonio.record.blocks import Block, gyro_rates, session_columns
+from adis_gonio.record.blocks import Block, block_series
 from adis_gonio.record.plans import GAIN_LIMIT, Expectation, K, Position, PriorKnowledge, turned_deg
 from adis_gonio.record.stillness import SHIFT_MG
 
 _STEPS: tuple[tuple[Literal["temperature", "supply"], str, str, float], ...] = (
-    ("temperature", "temp_c", "°C", 1.0),
+    ("temperature", "temperature_c", "°C", 1.0),
     ("supply", "supply_v", "V", 0.05),
 )
 """Conditions that may step within a dwell: kind, column of a session, unit, largest change in a second.
@@ -126,11 +126,11 @@ def judge_dwell(scans: Block, problems: Sequence[Problem]) -> list[Guard]:
         message = "; ".join(problem.message for problem in found)
         alarms = 0 if scans.alarm is None else int(scans.alarm.sum())
         guards.append(Guard(kinds[found[0].kind], message, {"scans": float(alarms)}))
-    columns = session_columns(scans)
+    series = block_series(scans)
     for kind, column, unit, limit in _STEPS:
-        if column not in columns or (kind == "supply" and guards):
+        if column not in series or (kind == "supply" and guards):
             continue
-        step = greatest_step(scans.time_s, columns[column])
+        step = greatest_step(scans.time_s, series[column])
         if step > limit:
             message = (
                 f"the {kind} has stepped by {step:.2g} {unit} within the dwell"
@@ -200,7 +200,7 @@ class Turning:
 
     def __init__(self, longest_gap_s: float, dwell: Block | None = None) -> None:
         self._longest_gap_s = longest_gap_s
-        rates = None if dwell is None else gyro_rates(dwell)
+        rates = None if dwell is None else block_series(dwell).get("gyro")
         self._bias = None if rates is None else rates.mean(axis=0)
         self._last_s = 0.0 if dwell is None else float(dwell.time_s[-1])
         self._last, self._angle = np.zeros(3), np.zeros(3)
@@ -209,7 +209,7 @@ class Turning:
 
     def see(self, block: Block) -> None:
         """Integrate the rates of the next samples; samples of the ended dwell are skipped."""
-        rates = gyro_rates(block)
+        rates = block_series(block).get("gyro")
         if self._bias is None or rates is None or not len(block):
             return
         new = block.time_s > self._last_s

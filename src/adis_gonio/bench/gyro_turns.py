@@ -28,7 +28,7 @@ from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.device.sensor.driver import DEFAULT_SCAN
 from adis_gonio.fitting.gyros.turn_integration import Integral, Path, Sampling, integrate
 from adis_gonio.model.effects.base import AXES
-from adis_gonio.record.blocks import Block, gyro_rates, join
+from adis_gonio.record.blocks import Block, block_series, join
 from adis_gonio.record.plans import GYRO_TURNS, Plan, Position
 from adis_gonio.record.session_reader import TURNED
 
@@ -162,7 +162,7 @@ class GyroTurn(FollowedTurn):
 
 
 def _rates_and_force(block: Block) -> tuple[Floats, Floats]:
-    rates = gyro_rates(block)
+    rates = block_series(block).get("gyro")
     if rates is None:
         raise UsageError("gyro turns need the gyros: this sensor's samples have none")
     return rates, block.accel_mg

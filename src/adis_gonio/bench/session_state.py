@@ -15,7 +15,7 @@ from adis_gonio.bench.guards import Judge, Turning
 from adis_gonio.bench.session_bench import SessionBench
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 from adis_gonio.record.archive import Archive
-from adis_gonio.record.blocks import Block, join, session_columns
+from adis_gonio.record.blocks import Block, block_series, join
 from adis_gonio.record.plans import Plan, Position, PriorKnowledge
 from adis_gonio.record.session_reader import read_session
 from adis_gonio.record.stillness import (
@@ -219,9 +219,9 @@ class Knowledge:
     def see(self, block: Block) -> None:
         """Take a block of scans into account: temperature, lost scans and turn by the gyros."""
         self.lost += block.lost
-        columns = session_columns(block)
-        if "temp_c" in columns and len(block):
-            self.temperature_c = float(columns["temp_c"][-1])
+        series = block_series(block)
+        if "temperature_c" in series and len(block):
+            self.temperature_c = float(series["temperature_c"][-1])
         if self.judge is not None:
             self.judge.turning.see(block)
 

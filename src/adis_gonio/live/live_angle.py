@@ -25,8 +25,7 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, GYRO_OFF, GYRO_OUT, TEMP_OUT, VARIANTS
 from adis_gonio.device.sensor.settings import Configuration, white_noise_gain
 from adis_gonio.live.motion_model import LAG_S, AngleSmoother, GyroKnowledge, Sensing
-from adis_gonio.model.records import SERIES
-from adis_gonio.record.blocks import GENERIC, Block, session_columns
+from adis_gonio.record.blocks import GENERIC, Block, block_series
 from adis_gonio.record.source import ChipSource, Measuring, SampleStream, Settings, open_source
 from adis_gonio.record.stillness import limits_from_noise, window_samples
 
@@ -290,10 +289,10 @@ class AngleMeter:
         self._lost += block.lost
         if not len(block):
             return None
-        columns = session_columns(block)
-        if all(name in columns for name in SERIES["gyro"]):
-            gyro = np.column_stack([columns[name] for name in SERIES["gyro"]])
-            self._smoother.feed(block.time_s, block.accel_mg, gyro, columns.get("temp_c"))
+        series = block_series(block)
+        if "gyro" in series:
+            temperature = series.get("temperature_c")
+            self._smoother.feed(block.time_s, block.accel_mg, series["gyro"], temperature)
         if self._first_s is None:
             self._first_s = float(block.time_s[0])
         self._waiting.append(block)
@@ -307,7 +306,7 @@ class AngleMeter:
         # Keep a window of the newest samples, or all of this span.
         self._kept = np.concatenate([self._kept, accel])[-max(self._window, len(accel)) :]
         mean = accel.mean(axis=0)
-        known = [columns["temp_c"] for block in blocks if "temp_c" in (columns := session_columns(block))]
+        known = [one["temperature_c"] for one in map(block_series, blocks) if "temperature_c" in one]
         temperature_c = float(np.concatenate(known).mean()) if known else None
         spread_mg = u_mg = still = None
         if len(self._kept) > 1:

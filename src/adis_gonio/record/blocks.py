@@ -124,66 +124,37 @@ def count_alarms(block: Block) -> int:
     return 0 if block.alarm is None else int(block.alarm.sum())
 
 
-_OF_REGISTER = dict(zip((*ACCEL_OUT, *GYRO_OUT), (*SERIES["accel"], *SERIES["gyro"]), strict=True))
+def block_series(block: Block) -> dict[str, Any]:
+    """Convert the samples of a block to keyword arguments of a `Dwell` or `Turn`.
 
-
-def die_temperatures(block: Block) -> Floats | None:
-    """Return the temperatures (n, 3) of the dies of the three gyros in °C; None unless all were scanned."""
-    if isinstance(block, ValueBlock) or not all(name in block.registers for name in TEMP_OUT):
-        return None
-    return block.select(TEMP_OUT).values()
-
-
-def gyro_rates(block: Block) -> Floats | None:
-    """Return the rates of turn (n, 3) in °/s; None without all gyros or without their range."""
-    names = SERIES["gyro"] if isinstance(block, ValueBlock) else GYRO_OUT
-    if any(name not in block.registers for name in names):
-        return None
-    if isinstance(block, ValueBlock):
-        return block.columns(*names)
-    return block.gyro_dps if block.gyro_range_dps else None
-
-
-def session_columns(block: Block) -> dict[str, Floats]:
-    """Convert a block to the columns of a session: a mapping from a column's name to its values (n,).
-
-    Accelerations are in LSB, or in mg for a generic sensor. Columns that the block lacks are left out, and
-    so are gyros of unknown range.
+    These are accel (n, 3) in LSB, or in mg for a generic sensor; gyro (n, 3) in °/s; temperature_c (n,);
+    temperatures_c (n, 3) of the dies of the three gyros; supply_v (n,). A quantity that was not recorded
+    completely is left out, and so are gyros of unknown range.
 
     Raises
     ------
     UsageError
         An accelerometer is missing.
     """
+    names, made = set(block.registers), dict[str, Any]()
     if isinstance(block, ValueBlock):
-        return {name: block.data[:, k] for k, name in enumerate(block.registers)}
-    missing = [name for name in ACCEL_OUT if name not in block.registers]
+        for name, members in SERIES.items():
+            if names.issuperset(members):
+                values = np.ascontiguousarray(block.columns(*members))
+                made[name] = values if len(members) > 1 else values[:, 0]
+        return made
+    missing = [name for name in ACCEL_OUT if name not in names]
     if missing:
         raise UsageError(f"a recording needs the accelerometers; the scan lacks {', '.join(missing)}")
-    numbers = block.select(ACCEL_OUT).numbers().astype(np.float64)
-    columns = {_OF_REGISTER[name]: numbers[:, k] for k, name in enumerate(ACCEL_OUT)}
-    if all(name in block.registers for name in GYRO_OUT) and block.gyro_range_dps:
-        rates = block.gyro_dps
-        columns |= {_OF_REGISTER[name]: rates[:, k] for k, name in enumerate(GYRO_OUT)}
-    if any(name in block.registers for name in TEMP_OUT):
-        columns["temp_c"] = block.temperature_c
-    if "SUPPLY_OUT" in block.registers:
-        columns["supply_v"] = block.supply_v
-    return columns
-
-
-def session_series(columns: dict[str, Floats]) -> dict[str, Any]:
-    """Convert the columns of `session_columns` to keyword arguments of a `Dwell` or `Turn`.
-
-    These are accel (n, 3), gyro (n, 3), temperature_c (n,) and supply_v (n,); a quantity without columns is
-    None.
-    """
-    made: dict[str, Any] = {}
-    for name, members in SERIES.items():
-        present = [columns[member] for member in members if member in columns]
-        if name != "time_s":
-            whole = len(present) == len(members)
-            made[name] = (np.column_stack(present) if len(members) > 1 else present[0]) if whole else None
+    made["accel"] = block.select(ACCEL_OUT).numbers().astype(np.float64)
+    if names.issuperset(GYRO_OUT) and block.gyro_range_dps:
+        made["gyro"] = block.gyro_dps
+    if names.intersection(TEMP_OUT):
+        made["temperature_c"] = block.temperature_c
+    if names.issuperset(TEMP_OUT):
+        made["temperatures_c"] = block.select(TEMP_OUT).values()
+    if "SUPPLY_OUT" in names:
+        made["supply_v"] = block.supply_v
     return made
 
 

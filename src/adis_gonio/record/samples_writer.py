@@ -23,7 +23,7 @@ from adis_gonio.base import Closing
 from adis_gonio.base.errors import OutputError, UsageError
 from adis_gonio.base.output import ends_in, exists_error
 from adis_gonio.model import records
-from adis_gonio.record.blocks import GENERIC, Block, session_columns
+from adis_gonio.record.blocks import GENERIC, Block, block_series
 from adis_gonio.record.plans import Plan
 from adis_gonio.record.samples_columns import COLUMNS, KEYS, without_formulas
 
@@ -252,14 +252,15 @@ class SamplesRecorder(Closing):
 
     def add(self, block: Block) -> None:
         """Append the samples of a block to the file."""
-        columns, text = session_columns(block), io.StringIO()
+        columns, text = records.Dwell(0, block.time_s, **block_series(block)).columns(), io.StringIO()
+        del columns["position"]
         if not self._size:
             head = [*self._header, *_note_lines(self.notes)]
-            text.write(_file_text(head, ["time_s", *columns], ()))
+            text.write(_file_text(head, [*columns], ()))
         whole = block.variant != GENERIC
-        formats = ["%d" if whole and name in ("ax", "ay", "az") else "%.6g" for name in columns]
-        table = np.column_stack([block.time_s, *columns.values()])
-        np.savetxt(text, table, fmt=["%.6f", *formats], delimiter=",")
+        own = {"time_s": "%.6f"} | (dict.fromkeys(("ax", "ay", "az"), "%d") if whole else {})
+        table = np.column_stack([*columns.values()])
+        np.savetxt(text, table, fmt=[own.get(name, "%.6g") for name in columns], delimiter=",")
         data = text.getvalue().encode("utf-8", "replace")
         # Each block is a gzip member of its own, so that the file is complete after every block.
         data = gzip.compress(data, mtime=0) if ends_in(self.path, ".gz") else data

@@ -24,11 +24,9 @@ from adis_gonio.record.blocks import (
     WITHOUT_NEWS,
     Alarms,
     Block,
-    die_temperatures,
+    block_series,
     find_alarms,
     join,
-    session_columns,
-    session_series,
 )
 from adis_gonio.record.plans import Plan
 
@@ -104,8 +102,7 @@ def _turn(number: int, blocks: list[Block], after: Attempt, turned_deg: float | 
         number + 1,
         scans.time_s + after.offset_s,
         turned_deg=turned_deg,
-        temperatures_c=die_temperatures(scans),
-        **session_series(session_columns(scans)),
+        **block_series(scans),
     )
 
 
@@ -187,11 +184,13 @@ def _free_turn(path: str | Path, view: ArchiveView) -> Session:
     """Return the session of one continuous turn, with a note of the reason if it was broken off."""
     attempts, reason = _turn_attempts(view)
     blocks = [(attempt, block) for attempt in attempts for block in view.blocks(attempt)]
-    parts = [(attempt, block, session_columns(block)) for attempt, block in blocks if len(block)]
+    parts = [(attempt, block, block_series(block)) for attempt, block in blocks if len(block)]
     if not parts:
         raise DataError(f"{path}: has no turn yet; resume the session")
     time_s = np.concatenate([block.time_s + attempt.offset_s for attempt, block, _ in parts])
-    columns = {name: np.concatenate([part[name] for _, _, part in parts]) for name in parts[0][2]}
+    series: dict[str, Any] = {
+        name: np.concatenate([part[name] for _, _, part in parts]) for name in parts[0][2]
+    }
     facts = _facts(view) | {"complete": not reason, "dwells": [], "broken_off": reason}
     notes = [doubt["message"] for doubt in facts["doubts"]]
     if reason:
@@ -206,7 +205,7 @@ def _free_turn(path: str | Path, view: ArchiveView) -> Session:
         sum(dropped.get(attempt.number, 0) for attempt in attempts),
         "during the turn",
     )
-    recording = Dwell(0, time_s, **session_series(columns))
+    recording = Dwell(0, time_s, **series)
     return _session(path, view.header, facts, notes, dwells=(), recording=recording, free_turn=True)
 
 
@@ -281,8 +280,7 @@ def _dwell(number: int, attempt: Attempt, scans: Block, sign: int) -> Dwell:
         angle_deg=None if attempt.position.angle_deg is None else sign * attempt.position.angle_deg,
         approach=sign * attempt.position.approach,
         use=attempt.position.use,
-        temperatures_c=die_temperatures(scans),
-        **session_series(session_columns(scans)),
+        **block_series(scans),
     )
 
 
