@@ -309,7 +309,7 @@ def two_sessions(tmp_path_factory):
     """Accelerometers on a stage and gyros on a table, of one simulated part, and files of these gyros."""
     folder = tmp_path_factory.mktemp("two")
     for name, plan in (("stage", ["four-position"]), ("table", ["gyro-turns", "--turns", "1"])):
-        words = ["--auto", "--dwell", "4", "-o", str(folder / f"{name}.session"), "--serial", "A7"]
+        words = ["--auto", "--dwell", "2", "-o", str(folder / f"{name}.session"), "--serial", "A7"]
         assert main(["calibrate", "sim:?seed=4", "--plan", *plan, *words]) == 0
     assert main(["export", str(folder / "table.session"), "-o", str(folder / "exported.json")]) == 0
     GyroCalibration.load(folder / "table.session").save(folder / "gyros.json")

@@ -2,7 +2,7 @@
 
 `test_after_each_frame…` runs the procedure once. At each frame it asks for the content of a part without
 power from then on, and for the report and action of the next start. `test_a_cut…` really cuts, before and
-after each frame that writes, at every third of the others outside the dwells and at some within, while the
+after each frame that writes, at every fifth of the others outside the dwells and at some within, while the
 host goes on against a dead line or against a part that has restarted.
 """
 
@@ -136,8 +136,8 @@ def test_after_each_frame_a_part_without_power_is_old_or_new_and_the_next_start_
 
 
 def frames_to_cut(tmp_path, recorded):
-    """Frames of an undisturbed write after which to cut: around each that writes, every third of the others
-    that are no dwell's, one in the middle of some dwells; of those before the first write every seventh."""
+    """Frames of an undisturbed write after which to cut: around each that writes, every fifth of the others
+    that are no dwell's (every fifteenth before the first write), one in the middle of some dwells."""
     bus = new_bus(3)
     made = OffsetWriter(Adis16354(bus), shutil.copy(recorded, tmp_path / "count.session"), SAVE)
     bus.arm()
@@ -147,7 +147,7 @@ def frames_to_cut(tmp_path, recorded):
         mine = range(bus.frames, bus.frames + len(frames))
         if len(frames) < DWELL_FRAMES:
             writing = [number for number, frame in zip(mine, frames, strict=True) if frame & 0x8000]
-            cuts.extend([*writing, *(number + 1 for number in writing), *mine[:: 3 if wrote else 7]])
+            cuts.extend([*writing, *(number + 1 for number in writing), *mine[:: 5 if wrote else 15]])
         else:
             within.append(mine[len(mine) // 2])
             assert not (frames & 0x8000).any(), "a dwell only reads"

@@ -244,7 +244,7 @@ def test_g_sensitivity_comes_from_the_model_that_predicts_left_out_dwells_best()
     time = np.linspace(0, 1, 20)[:, None]
     # As in experiment 6 of MIMU4444: 0.16 °/s in the session, in the order of the poses.
     for course in (0.16 * time, 0.16 * np.exp(-3 * time), 0.0 * time):
-        off, u = misses(30, course, scored=True)
+        off, u = misses(20, course, scored=True)
         assert np.mean(np.abs(off) < 2 * u) > 0.92
         assert np.sqrt((off**2).mean()) < 0.005
         blind = np.sqrt((misses(5, course, scored=False)[0][:, 1::3] ** 2).mean())
