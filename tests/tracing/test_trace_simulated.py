@@ -86,7 +86,7 @@ def test_no_nameless_surface_takes_the_place_of_three_names(
 ) -> None:
     # Beside a bias of tens of mg one function of time and angle explains more than any two of three names.
     texts = (f"{name}:{value}" for name, value in effects.items())
-    result = traced(tmp_path, seed, *texts, dwell_s=dwell_s)
+    result = traced(tmp_path, seed, *texts, dwell_s=dwell_s, **SLOWER)
     assert result["unnamed"] is None
     assert "bias" in found(result)
     rest = set(effects) - found(result)
@@ -142,6 +142,6 @@ def test_a_gain_that_follows_a_supply_which_only_sinks_stands_with_a_drift_of_th
 
 def test_a_constant_temperature_does_not_become_an_impossible_coefficient(tmp_path) -> None:
     # The sensor reads 25.05 °C throughout: a bias of 5.6 mg would be 116 mg/°C, five times the bound.
-    result = traced(tmp_path, 1002, dwell_s=10.0)
+    result = traced(tmp_path, 1002, dwell_s=10.0, **SLOWER)
     assert found(result) == {"bias"}
     assert result["adequate"]
