@@ -29,7 +29,7 @@ def test_the_first_block_installs_the_tool_and_the_second_runs_the_tests():
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Folder in which the commands of the page were run, one after the other; a dwell takes 2 s, not 10 s."""
+    """Folder in which the commands of the page were run, one after the other; a dwell takes 2 s."""
     folder = tmp_path_factory.mktemp("readme")
     (folder / "examples").symlink_to(ROOT / "examples")
     run = 0
