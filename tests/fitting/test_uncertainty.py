@@ -12,7 +12,7 @@ import coverage_of_u as coverage
 from adis_gonio import fit
 from adis_gonio.base.uncertainty import coverage_factor, effective_dof, factor_over
 from adis_gonio.fitting.monte_carlo import monte_carlo
-from adis_gonio.fitting.uncertainty import GRAVITY
+from adis_gonio.fitting.uncertainty import GRAVITY, Source, Sources
 from adis_gonio.model.records import Dwell, Session
 
 G = 1000.0
@@ -177,6 +177,17 @@ def test_a_bias_that_two_positions_cannot_see_is_in_the_budget_where_the_part_ha
 
 def vars_of(session):
     return {name: getattr(session, name) for name in session.__dataclass_fields__}
+
+
+@pytest.mark.parametrize("unseen", [0.01, 100.0])
+def test_a_further_readings_scatter_keeps_its_degrees_of_freedom_beside_unseen_effects(unseen):
+    moves, dof = np.array([[0.1, unseen]]), np.array([2, math.inf])
+    source = Source(
+        "model", "B", "normal", 1.0, moves, dof=dof, estimate=np.array([3, 0]), reading_mg2=np.eye(1)
+    )
+    u, found = Sources((source,)).uncertainty(np.eye(1), np.eye(1))
+    assert u == pytest.approx(math.hypot(1.0, 0.1, unseen))
+    assert found == pytest.approx(effective_dof([(1.0 + 0.1**2, 2), (unseen**2, math.inf)]))
 
 
 def test_k_of_an_error_that_differs_from_place_to_place_covers_its_mixture():

@@ -134,8 +134,9 @@ class Source:
         *variance, own = self.variances(gradient, reading).mean(axis=0).tolist()
         estimate, dof = (np.broadcast_to(one, len(variance)).tolist() for one in (self.estimate, self.dof))
         found = list(zip(estimate, dof, variance, strict=True))
-        # A further reading brings its own noise, with the degrees of freedom of the largest part.
-        where = max(found, key=lambda part: part[2], default=(_POOLED, math.inf, 0.0))
+        # The own noise of a further reading comes from the session's estimate of this noise.
+        estimated = (part for part in found if math.isfinite(part[1]))
+        where = max(estimated, key=lambda part: part[2], default=(_POOLED, math.inf, 0.0))
         return [*found, (where[0], where[1], own)] if own else found
 
     def _moved(self, gradient: Floats, reading: Floats | None) -> Floats:
