@@ -146,7 +146,9 @@ def print_sections(screen: Console, sections: Iterable[Section]) -> None:
             print_indented(screen, text)
         if section.points:
             print_table(screen, ("", ""), [("·", text) for text in section.points], (0, 1), indent=2)
-        for table in section.tables:
+        for number, table in enumerate(section.tables):
+            if number:
+                screen.print()
             words = set(range(len(table.head))) - set(table.numeric)
             strong = [table.rows[k][0] for k in table.strong]
             print_table(screen, table.head, table.rows[:_MOST_ROWS], words, strong)
