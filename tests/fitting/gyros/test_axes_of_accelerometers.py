@@ -93,7 +93,9 @@ def off(result):
 def result_of(values, covariance):
     """A fit that determined these parameters."""
     parameters = {name: Value(value, None, "1") for name, value in values.items()}
-    return FittedParameters(parameters=parameters, covariance=covariance, chi2=0.0, dof=0, positions=())
+    return FittedParameters(
+        method="ml", parameters=parameters, covariance=covariance, chi2=0.0, dof=0, positions=()
+    )
 
 
 def test_modes_are_what_each_unknown_does_to_a_direction():
