@@ -117,6 +117,21 @@ def test_lost_scans_are_bridged_and_their_u_holds_what_they_cost():
     assert np.std(off) > 0.01
 
 
+def test_noise_of_a_part_at_rest_that_lost_scans_is_within_its_u():
+    """Lost scans make no integral surer: its noise is of the whole time."""
+    rng = np.random.default_rng(2)
+    off = []
+    for _ in range(300):
+        kept = np.flatnonzero(np.r_[True, rng.random(298) > 0.3, True])
+        rate = rng.standard_normal((len(kept), 3))
+        path = Path(PERIOD_S * kept, rate, np.zeros((len(kept), 3)), np.zeros((2, 3)), np.zeros((2, 3)))
+        found = integral_over(path, sampling(noise_dps=1.0), 0, len(kept) - 1)
+        if isinstance(found, Integral):
+            off.append(found.angle_deg / np.sqrt(np.diagonal(found.covariance_deg2)))
+    assert len(off) > 250
+    assert np.std(off) == pytest.approx(1.0, abs=0.07)
+
+
 def test_a_gap_too_long_for_a_bridge_refuses_the_turn_and_says_so():
     path = path_of(planar(6, [0.0, 90.0]))
     middle = int(np.abs(path.rate_dps[:, 2]).argmax())

@@ -406,7 +406,8 @@ def integral_over(path: Path, sampling: Sampling, begin: int, end: int) -> Integ
         return "too many scans were lost during the turn to estimate the missing part"
     zero = path.zero_dps.mean(axis=0)
     angle, share = weight @ rate, weight / length
-    noise = sampling.density_dps2 * (len(time) - 1) * sampling.period_s**2
+    # A bridge adds its error to the noise of all scans, the lost ones included.
+    noise = sampling.density_dps2 * length * sampling.period_s
     return Integral(
         begin_s=float(time[0]) - sampling.delay_s,
         end_s=float(time[-1]) - sampling.delay_s,

@@ -606,7 +606,7 @@ def _turned(path: turn_integration.Path, rests: GyroDwells) -> tuple[float, floa
     """Return the angle of a turn about z with its u in degrees, and the integrals of the force on X and Y.
 
     The integrals are over the readings of X and Y minus their mean at rest, in g·s. `rests` has the noise
-    of the gyros. None if the record of the turn has a gap.
+    of the gyros. None if the record of the turn has a gap, or too few complete samples around lost scans.
     """
     sampling = rests.sampling
     found = turn_integration.integrate(path, sampling)
