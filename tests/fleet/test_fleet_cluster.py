@@ -17,6 +17,8 @@ import pytest
 
 from adis_gonio import load_session
 from adis_gonio.faces.cli import main
+from adis_gonio.fleet.session_record import Job, Options
+from adis_gonio.fleet.workers import Cluster
 from adis_gonio.tracing.joint_trace import trace_sessions
 from fleet.sessions import kept_in, write_fleet
 from fleet.test_fleet_command import FLEET, SOON_S, until
@@ -111,6 +113,20 @@ def test_a_worker_of_another_version_and_a_cluster_without_any_are_said(tmp_path
     assert f"the scheduler at {cluster.address} has no worker: start some" in empty.stderr
     assert "adis-gonio 0.0.1, here is adis-gonio" in other.stderr
     assert "Traceback" not in empty.stderr + other.stderr
+
+
+def test_a_record_that_cannot_be_read_here_is_a_row_with_its_reason(tmp_path, monkeypatch):
+    class Foreign:  # such as a number of another version of NumPy
+        def __reduce__(self):
+            return eval, ("1 / 0",)
+
+    monkeypatch.setattr("adis_gonio.fleet.workers.work", lambda *_: Foreign())
+    with dask(tmp_path) as cluster:
+        worker = cluster.worker()
+        with Cluster(cluster.address) as client:
+            (record,) = client.results([Job("a.csv", "0")], Options())
+        worker.kill()
+    assert record.reason == "a.csv: its workers failed: division by zero"
 
 
 def test_a_scheduler_that_goes_away_ends_the_run_with_a_line_and_what_was_done_is_kept(tmp_path):

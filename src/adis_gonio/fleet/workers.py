@@ -13,6 +13,7 @@ from __future__ import annotations
 import logging
 import os
 import signal
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -29,7 +30,7 @@ from adis_gonio.base.errors import FleetError, NotInstalledError, UsageError, in
 from adis_gonio.fleet.session_record import Job, Options, SessionRecord, lost, work
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, Future
 
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 _LOOK_S = 0.5
@@ -185,29 +186,42 @@ class Cluster:
         FleetError
             The scheduler has gone, or all of its workers have gone.
         """
-        executor, waiting = self._client.get_executor(pure=False), iter(jobs)
-        running: dict[futures.Future[SessionRecord], Job] = {}
+        waiting, arrived = iter(jobs), threading.Event()
+        running: dict[Future, Job] = {}
         try:
             while True:
                 # Submit few jobs at a time: waiting jobs cannot be lost here and do not slow the scheduler.
                 wanted = max(1, 2 * self._threads()) - len(running)
                 for job in islice(waiting, max(0, wanted)):
                     request = (job.path, job.digest, options.as_dict(), __version__)
-                    running[executor.submit(work, *request)] = job
+                    future = self._client.submit(work, *request, pure=False)
+                    running[future] = job
+                    future.add_done_callback(lambda _: arrived.set())
                 if not running:
                     return
-                # The cluster computes a job again if its worker dies.
-                for future in futures.wait(running, _LOOK_S, futures.FIRST_COMPLETED).done:
-                    yield self._record(running.pop(future), future)
+                arrived.wait(_LOOK_S)
+                arrived.clear()
+                for future in [one for one in running if one.done()]:
+                    record = self._record(running[future], future)
+                    if record is not None:
+                        del running[future]
+                        yield record
         finally:
             with suppress(Exception):
-                executor.shutdown(wait=False)
+                self._client.cancel(list(running), force=True)
 
-    def _record(self, job: Job, future: futures.Future[SessionRecord]) -> SessionRecord:
-        if future.cancelled():
-            raise FleetError(f"the scheduler at {self.address} has gone")
-        error = future.exception()  # KilledWorker, or a worker that cannot import this package
-        return lost(job.path, f"its workers failed: {_error_text(error)}") if error else future.result()
+    def _record(self, job: Job, future: Future) -> SessionRecord | None:
+        """Return the record of a finished job; None if its worker died, so that it is computed again."""
+        try:
+            record: SessionRecord = future.result(timeout=_LOOK_S)
+        except TimeoutError:
+            return None
+        except Exception as error:
+            if future.cancelled():
+                raise FleetError(f"the scheduler at {self.address} has gone") from None
+            # KilledWorker, a worker that cannot import this package, or a record that cannot be read here.
+            return lost(job.path, f"its workers failed: {_error_text(error)}")
+        return record
 
     def _threads(self) -> int:
         """Return the number of sessions that the cluster can compute at once.
