@@ -243,6 +243,11 @@ def test_a_session_that_cannot_be_traced_still_has_a_page():
     assert "ml: singular" in page
 
 
+def test_a_row_has_as_many_cells_as_its_table_has_heads():
+    with pytest.raises(ValueError, match="2 heads, but 1 cells"):
+        Table(["axis", "bias"], [["x", "3 mg"], ["y"]])
+
+
 def test_the_page_says_who_measured_which_part_where_and_what_was_overridden():
     corrected = Overrides(
         gravity_mps2=9.81, fixture_sigma_deg=math.inf, reverse=True, columns={"ax": "Acc_X"}

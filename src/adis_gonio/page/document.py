@@ -426,7 +426,7 @@ class Table:
     head : sequence of str
         Names of the columns.
     rows : sequence of sequence of str
-        Cells of each row, as many as `head` has.
+        Cells of each row; `ValueError` is raised unless they are as many as in `head`.
     caption : str
         Plain text for the table.
     numeric : collection of int
@@ -440,6 +440,11 @@ class Table:
     caption: str = ""
     numeric: tuple[int, ...] = ()
     strong: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            if len(row) != len(self.head):
+                raise ValueError(f"table of {len(self.head)} heads, but {len(row)} cells in a row: {row}")
 
 
 @dataclass(frozen=True)
