@@ -124,14 +124,15 @@ def gyro_offset_words(gyro: GyroCalibration) -> tuple[OffsetWord, ...]:
 def offset_words_in(path: str | Path) -> tuple[OffsetWord, ...]:
     """Return the numbers for the offset registers from the file of a calibration or a session.
 
-    The numbers are for gyros and accelerometers, as far as the file determines them.
+    The numbers are for gyros and accelerometers, as far as the file determines them. If it gives no numbers
+    for the accelerometers, those for the gyros are returned alone.
 
     Raises
     ------
     DataError
         The file is neither a calibration nor a session.
     FitError
-        The file determines neither biases nor zero rates, or one is too large for its register.
+        The file gives no numbers for either, or a zero rate is too large for its register.
     """
     try:
         calibration = load_calibration(path)
