@@ -1,5 +1,12 @@
 """Many cycles a turn that the plan folds onto something simpler."""
 
+import itertools
+from dataclasses import replace
+
+import numpy as np
+
+from adis_gonio.tracing.grammar import nameless_terms
+from adis_gonio.tracing.selection import select
 from adis_gonio.tracing.trace import trace
 from tracing.alias_sessions import (
     growing_eccentricity,
@@ -7,6 +14,7 @@ from tracing.alias_sessions import (
     one_sided_eccentricity,
     worm,
 )
+from tracing.small_problems import noisy, turn
 
 
 def names(result) -> set[str]:
@@ -37,3 +45,13 @@ def test_a_worm_is_found_in_the_order_in_which_few_cycles_grow():
     for seed in range(4):
         found = {one.effect: one for one in trace(worm(seed)).found}
         assert found["stage_periodic"].probability > 0.95
+
+
+def test_of_waves_with_equal_columns_the_one_of_fewest_cycles_stands_for_all() -> None:
+    c = turn(10)
+    for cycles, seed in itertools.product((4, 6), range(10)):
+        data = noisy(c, seed)
+        mean = data.mean + np.column_stack([np.sin(cycles * c.angle_rad), np.zeros(10)])
+        waves = [t for t in nameless_terms(data) if t.label in ("bias[x]~sin 4θ", "bias[x]~sin 6θ")]
+        selection = select(replace(data, mean=mean), waves, 1)
+        assert [term.label for term in selection.terms] == ["bias[x]~sin 4θ"]

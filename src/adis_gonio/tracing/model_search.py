@@ -401,10 +401,12 @@ def _classes(found: Search, models: list[Model]) -> dict[Model, list[Model]]:
     taken = np.zeros(len(models), dtype=bool)
     classes: dict[Model, list[Model]] = {}
     width = [int(sum(problem.width[k] for k in m)) for m in models]
-    # The simplest first: fewest unnamed terms, fewest columns, then the most probable.
+    # The simplest first: fewest unnamed terms, fewest columns, then the most probable. Models whose scores
+    # differ by rounding only (sin 4θ and sin 6θ at ten angles) keep the order of the candidates.
+    likely = [round(found.scores[m], 6) for m in models]
     order = sorted(
         range(len(models)),
-        key=lambda i: (sum(terms[k].name is None for k in models[i]), width[i], -found.scores[models[i]]),
+        key=lambda i: (sum(terms[k].name is None for k in models[i]), width[i], -likely[i], models[i]),
     )
     for i in order:
         if not taken[i]:
