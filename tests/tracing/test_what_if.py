@@ -279,7 +279,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 WRONG = [
-    (["--with", "mine_x = gx"], "cannot distinguish it from the base model"),
+    (["--with", "mine_x = gx"], "it from the base model (alpha, scale_x, scale_y, delta_phi)"),
     (["--with", "mine_x = 3"], "it is constant, as is bias:x,"),
     (["--with", "mine_x = 0 * gx"], "it is zero at every position"),
     (["--with", "mine_x = gy"], "cannot distinguish it from the base model"),
@@ -300,7 +300,7 @@ WRONG = [
     (["--with", "tone"], "looked for within the dwells"),
     (
         ["--with", "quadratic:x", "--with", "mine_x = 7 * gx**2"],
-        "cannot distinguish it from the base model or",
+        "cannot distinguish it from the base model (alpha, scale_x, scale_y, delta_phi) or",
     ),
     (["--with", "quadratic:x", "--without", "quadratic"], "name the same effect: quadratic"),
     (["--without", "nothing"], "no effect is called 'nothing'"),

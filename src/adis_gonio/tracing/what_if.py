@@ -209,7 +209,8 @@ def forced_terms(data: Readings, texts: Sequence[str]) -> list[NamedTerm]:
             if full and np.linalg.svd(outside, compute_uv=False)[-1] ** 2 > limits.independent:
                 apart.append(k)
         if not apart:
-            others = " or ".join(["the base model", *(term.label for term in chosen)])
+            base = f"the base model ({', '.join(one.name for one in data.model.parameters)})"
+            others = " or ".join([base, *(term.label for term in chosen)])
             raise UsageError(f"--with {text}: this session cannot distinguish it from {others}")
         beside = [*before, *(number[bias.label] for bias in biases[-1:] if bias.label in number)]
         gained = 0.5 * problem.gains(*span(problem, beside)) - price(problem)
