@@ -375,6 +375,7 @@ def test_the_report_compares_the_models_and_shows_what_one_more_term_buys(
         assert f"<h2>{heading}</h2>" in text
         assert "<svg" in text.split(f"<h2>{heading}</h2>")[1].split("</section>")[0]
     assert "gain ± U" in text
+    assert text.count(" (chosen)</td>") == 1
     capsys.readouterr()
     wrong = ["report", str(session), "--with", "mine_x = gx", "-o", str(tmp_path / "no.html")]
     assert main(wrong) == 2

@@ -414,7 +414,7 @@ def further_terms_section(traced: TraceResult) -> Section:
     rows = [
         [
             str(len(one.terms)),
-            " + ".join(one.terms) or "base model",
+            (" + ".join(one.terms) or "base model") + (" (chosen)" if one.chosen else ""),
             format_number(one.log_evidence),
             format_number(one.heldout_rms),
             format_uncertain(one.gain, NORMAL_95 * one.u) if one.terms else DASH,
