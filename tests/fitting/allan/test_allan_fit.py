@@ -157,6 +157,22 @@ def test_dwells_that_were_shaken_are_left_out_and_named():
         assert any("1 record left out" in note and "positions 1" in note for note in axis.notes)
 
 
+@pytest.mark.parametrize("step", [0.0, 0.2])
+def test_a_dwell_in_which_an_axis_never_changed_is_left_out_for_this_axis_and_named(step):
+    parts = [samples(WHITE, seed) for seed in (44, 45, 46)]
+    parts = [np.round(part / step) * step for part in parts] if step else parts
+    parts[0][:, 0] = 0.0
+    dwells = tuple(
+        Dwell(k, 0.01 * np.arange(len(part)) + 1000 * k, np.zeros((len(part), 3)), gyro=part)
+        for k, part in enumerate(parts)
+    )
+    found = fit_allan(Session(dwells, facts={"configuration": {"filter_m": 0}}))
+    assert any("without noise (positions 0)" in note for note in found["x"].notes)
+    assert not any("left out" in note for note in found["y"].notes)
+    for axis in found.axes:
+        assert axis["white"].value.value == pytest.approx(found["y"]["white"].value.value, rel=0.1)
+
+
 def test_a_gap_divides_a_record_and_missing_samples_are_said():
     gyro = samples(replace(WHITE, samples=4096), 51)
     time_s = 0.01 * np.arange(len(gyro))

@@ -247,11 +247,14 @@ def notes_of(
 
     `narrowed` is True if only a part of the frequency band was fitted, `coarse` if the noise is small
     against the step of the converter. `loud` has the dwell numbers of records that were left out because of
-    their larger noise. `peak` is a peak above the fitted band.
+    larger noise or without noise. `peak` is a peak above the fitted band.
     """
     if loud:
         which = ", ".join(map(str, loud[:8])) + (", …" if len(loud) > 8 else "")
-        yield f"{counted(len(loud), 'record')} left out, louder than the quietest (positions {which})"
+        yield (
+            f"{counted(len(loud), 'record')} left out, louder than the quietest or without noise (positions"
+            f" {which})"
+        )
     if coarse:
         yield (
             f"the noise is below half a step of the converter ({format_number(axis.step)}): it shows"
@@ -662,11 +665,12 @@ def moving_peak(records: Sequence[Floats], period_s: float, above_hz: float) -> 
 
 
 def _quiet(parts: Sequence[Ordinates], highest: float) -> list[int]:
-    """Return the indices of the records that are about as quiet as the quietest record.
+    """Return the indices of the records that are about as quiet as the quietest record with noise.
 
-    The other records are louder, as by vibration. `highest` is the highest fitted frequency in cycles per
-    sample. Records are added from the quietest to the loudest. A record is left out if its mean power in
-    one of two frequency bands is clearly larger than the mean power of the records added before.
+    The other records are louder, as by vibration, or never change, as at a limit of the range. `highest` is
+    the highest fitted frequency in cycles per sample. Records are added from the quietest to the loudest. A
+    record is left out if its mean power in one of two frequency bands is clearly larger than the mean power
+    of the records added before.
     """
     bands = [(low * highest, high * highest) for low, high in _BANDS]
     level = np.empty((len(parts), len(bands)))
@@ -678,6 +682,7 @@ def _quiet(parts: Sequence[Ordinates], highest: float) -> list[int]:
             level[row, column] = part.weight[inside] @ part.power[inside] / weight[row, column]
     # From the quietest record on, by the product of both levels.
     order = np.argsort(level.prod(axis=1), kind="stable")
+    order = order[level[order].any(axis=1)]
     kept = [int(order[0])]
     for k in order[1:].tolist():
         pool = weight[kept].sum(axis=0)
