@@ -158,6 +158,8 @@ def test_a_wrong_position_has_its_angles_by_gravity_and_by_the_gyro():
     section = positions_section([wrong, replace(wrong, declared_deg=None, gyro_deg=None)])
     cells = [[cell.replace("\xa0", " ") for cell in row[1:4]] for row in section.tables[0].rows]
     assert cells == [["30°", "(31.04 ± 0.20)°", "(31.20 ± 0.98)°"], ["–", "(31.04 ± 0.20)°", "–"]]
+    swapped = replace(wrong, finding="swapped", others=(5,))
+    assert len(positions_section([swapped, replace(swapped, position=5, others=(3,))]).words) == 1
 
 
 def test_results_by_method_begin_with_delta_k_and_delta_phi(page):

@@ -189,9 +189,8 @@ def positions_section(findings: Sequence[PositionFinding]) -> Section:
         ]
         for found in findings
     ]
-    sentences = list(dict.fromkeys(found.sentence for found in findings))
     table = Table(_ANGLES, rows, numeric=(1, 2, 3, 5), caption="Angles ± U (95 %).")
-    return Section("Wrong positions", words=sentences, tables=[table])
+    return Section("Wrong positions", words=sentences_of(findings), tables=[table])
 
 
 def _angle(angle: Angle | None) -> str:

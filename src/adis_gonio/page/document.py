@@ -490,7 +490,7 @@ class Section:
 
     @property
     def filled(self) -> bool:
-        """True if the section has contents besides its title."""
+        """True if the section has contents in addition to its title."""
         contents = (self.words, self.points, self.figures, self.tables, self.notes, self.parts, self.key)
         return any(contents)
 
