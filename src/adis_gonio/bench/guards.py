@@ -27,7 +27,7 @@ _STEPS: tuple[tuple[Literal["temperature", "supply"], str, str, float], ...] = (
     ("temperature", "temperature_c", "°C", 1.0),
     ("supply", "supply_v", "V", 0.05),
 )
-"""Conditions that may step within a dwell: kind, column of a session, unit, largest change in a second.
+"""Conditions that may step within a dwell: kind, quantity of a block, unit, largest change in a second.
 
 The change of the temperature is ten times the fastest self-heating by the data sheet (5 °C in one minute),
 the change of the supply a tenth of the specified range.

@@ -516,8 +516,8 @@ class BringupBench:
         """Read at most `count` scans of the registers `names`.
 
         Reading ends after `LONGEST_S`. The bridge streams if data-ready works, else it polls. If there are
-        gaps, the longest run without a gap is returned if it has at least half of `count` scans. Otherwise
-        all scans are returned.
+        gaps, the longest run without a gap is returned if it has at least half of `count` scans and skips
+        no updates at even times. Otherwise all scans are returned.
 
         Raises
         ------
