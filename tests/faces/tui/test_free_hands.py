@@ -129,6 +129,14 @@ def test_the_message_of_a_guard_is_said_once(capsys, monkeypatch):
     assert "x varies by 31 mg" in bench_words.lines_about(shaken)[0][0]
 
 
+def test_the_moving_line_of_plain_prompts_has_the_stillness_and_the_live_angle(monkeypatch):
+    notes: list[str] = []
+    monkeypatch.setattr("rich.progress.Progress.update", lambda *_, note="", **__: notes.append(note))
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    PlainBench(TypedRunner([THREE[0], look("moving", angle=-6.26, spread=55.3)]), auto=True).run()
+    assert [note for note in notes if note] == ["MOVING  55.30 of at most 7.90 mg  −6.26°"]
+
+
 @pytest.mark.parametrize("name", ["four-position", "poses"])
 def test_a_drawing_has_room_in_a_dialog_and_on_a_line(name):
     assert max(map(len, drawing(plan(name)))) <= 72

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from adis_gonio.base.errors import install_extra
-from adis_gonio.base.numbers import counted
+from adis_gonio.base.numbers import counted, signed
 from adis_gonio.base.tables import fold_text
 from adis_gonio.bench import events
 from adis_gonio.bench.guidance import drawing, to_do, turn_to_do
@@ -324,12 +324,15 @@ class PlainBench:
     # -- the line that moves ----------------------------------------------------------------------
 
     def _show_progress(self) -> None:
-        """Show the activity, with a bar if it has a length, else with the stillness of the part."""
+        """Show the activity, with a bar if it has a length, else with stillness and angle of the part."""
         state, span = self._state, self._state.span
+        note = screen_text.progress(state, 0) or screen_text.stillness(state, 0)
+        if span is None and state.angle_deg is not None:
+            note += f" {signed(state.angle_deg, 2)}°"
         self._progress.update(
             self._task,
             description=f"  {state.doing}",
-            note="" if state.quiet else screen_text.progress(state, 0) or screen_text.stillness(state, 0),
+            note="" if state.quiet else note,
             completed=0 if span is None else span.elapsed_s,
             total=None if span is None else span.length_s,
             visible=True,
