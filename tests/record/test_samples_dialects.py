@@ -122,6 +122,23 @@ def test_a_german_excel_file(tmp_path):
     )
 
 
+@pytest.mark.parametrize("sign", ["1,0", "1.0", "+1"])
+@pytest.mark.parametrize("mark", [",", "."])
+def test_a_sign_may_have_either_decimal_mark(tmp_path, sign, mark):
+    text = f"time [ms];position;approach;ax;ay\n0;1;{sign};2000{mark}5;5\n1;2;-{sign.lstrip('+')};3;2005\n"
+    assert [dwell.approach for dwell in load_session(saved(tmp_path, text.encode())).dwells] == [1, -1]
+
+
+@pytest.mark.parametrize("celsius", ["299", "1e6", "-999"])
+def test_a_temperature_of_no_part_is_refused_with_its_likely_cause(tmp_path, celsius):
+    text = f"time_s,position,ax,ay,temp_c\n0,1,1000,5,25\n1,2,3,1000,{celsius}\n"
+    with pytest.raises(DataError, match=r"row 3: column 'temp_c': .* °C is no temp.*kelvin .*'temp \[K\]'"):
+        load_session(saved(tmp_path, text.encode()))
+    kelvin = text.replace("temp_c", "temp [K]").replace(celsius, "299").replace(",25\n", ",298.15\n")
+    warm = load_session(saved(tmp_path, kelvin.encode())).dwells[1].temperature_c
+    np.testing.assert_allclose(warm, 25.85)
+
+
 def test_extra_columns_are_ignored_with_a_note_that_names_them(tmp_path):
     text = "time_s,Temp. [bar],ax,ay,position,comment\n0,1,2,3,0,hello\n1,1,2,4,0,\n"
     session = load_session(saved(tmp_path, text))

@@ -52,6 +52,8 @@ _SWAPPED = str.maketrans(",.", ".,")
 """Exchange of point and comma, after which only a number with a decimal comma is one of Python's."""
 _SLOWEST_S = 2.0
 """Median step of the rows in s from which a time without a unit may be in ms, so that it is refused."""
+_HOTTEST_C = 225.0
+"""Largest magnitude of a temperature in °C: no sensor works above it, and −48 °C are 225 K."""
 Runs = list[tuple[int, Any]]
 """Values of a column with one value for each dwell, each with the first row of its run; None if empty."""
 
@@ -150,6 +152,8 @@ class SamplesTable:
             if text.lower() not in ("fit", "check"):
                 raise ValueError("is neither 'fit' nor 'check'")
             return text.lower()
+        if name == "approach":  # it may have the other decimal mark, because it does not settle the mark
+            text = text.removesuffix(".0").removesuffix(",0")
         multiply, divide, add = self.head.columns[name].scale
         try:
             value = self._plain_number(text) * multiply / divide + add
@@ -273,6 +277,12 @@ class SamplesTable:
                 numbers = self._column(name, columns[column.place], lines)
                 if column.scale != SAME and not (name == "time_s" and self.began):
                     numbers = numbers * column.scale[0] / column.scale[1] + column.scale[2]
+                wrong = np.flatnonzero((name == "temp_c") & (np.abs(numbers) > _HOTTEST_C))
+                for k in wrong[:1].tolist():
+                    text = (
+                        f"{numbers[k]:g} °C is no temperature of a part; kelvin need the header 'temp [K]'"
+                    )
+                    raise self.fail(lines[k], f"column 'temp_c': {text}")
                 values[name] = numbers
         return values
 
