@@ -325,7 +325,9 @@ def errors_section(traced: TraceResult) -> Section:
         strong=(len(rows) - 1,),
     )
     parameters = Table(["base parameter", "in the final model"], base, numeric=(1,))
-    left_out = f"Errors are root mean squares. Left out: {traced.heldout_design or 'nothing'}."
+    design = traced.heldout_design or "nothing"
+    alone = "; `fit` leaves out one dwell at a time" if "whole dwells" in design else ""
+    left_out = f"Errors are root mean squares. Left out: {design}{alone}."
     return Section("Error before and after", tables=[table, parameters], notes=[left_out])
 
 

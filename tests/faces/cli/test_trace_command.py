@@ -53,6 +53,7 @@ def test_the_summary_says_what_how_sure_before_after_and_next(capsys, biased):
     assert at == sorted(at)
     assert "base model" in out
     assert "+ bias" in out
+    assert "`fit` leaves out one dwell at a time" in " ".join(out.split())
 
 
 @pytest.mark.parametrize("width", [80, 120])
