@@ -55,13 +55,13 @@ QUIET = {
 }
 
 
-def test_a_session_without_anything_shows_nothing():
-    """Family-wise 1 %, 0.2 % measured (scripts/within_statistics.py): of 45 sessions none shows any."""
+def test_a_session_without_anything_shows_nothing_but_the_coarse_steps_of_quiet_axes():
+    """Family-wise 1 %, 0.2 % measured (scripts/within_statistics.py): of 45 sessions none shows more."""
     shown = []
     for seed in range(3):
         for k, (name, case) in enumerate(QUIET.items()):
             found = kinds(draw(np.random.default_rng([seed, k]), **case))
-            if found:
+            if found != ["coarse"] * (name == "noise far below a step"):
                 shown.append((name, seed, found))
     assert not shown
 
@@ -344,10 +344,10 @@ def test_short_dwells_are_looked_at_as_far_as_they_go(n):
 
 @pytest.mark.parametrize("code_mg", [0.0, 467.2])
 @pytest.mark.parametrize("same", [[True, False], [True, True]], ids=["one axis", "both axes"])
-def test_an_axis_of_one_code_shows_nothing(same, code_mg):
+def test_an_axis_of_one_code_shows_nothing_but_its_coarse_steps(same, code_mg):
     samples = draw(np.random.default_rng(3), n=120, dwells=8)
     values = tuple(np.where(same, code_mg, rows) for rows in samples.values)
-    assert kinds(replace(samples, values=values)) == []
+    assert kinds(replace(samples, values=values)) == ["coarse"]
 
 
 @pytest.mark.parametrize(("p_value", "called"), [(1e-4, True), (1e-3, False)])

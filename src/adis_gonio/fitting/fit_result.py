@@ -492,18 +492,19 @@ def result_of(
     )
 
 
-def calibration_as_recorded(result: FitResult) -> Calibration:
+def calibration_as_recorded(result: FitResult, *, nominal: bool = False) -> Calibration:
     """Return the calibration for the offset registers as they were while the session was recorded.
 
     Use only this calibration for the session's own readings: a later write changes the sensor and the
-    coefficients, but not the recorded readings.
+    coefficients, but not the recorded readings. `nominal` allows each parameter that the session does not
+    determine to be nominal, which is enough to predict a reading, but not to compute an angle.
 
     Raises
     ------
     UsageError
         The result was not made from a session (`fit_readings`).
     FitError
-        The session does not determine a parameter that an angle needs.
+        The session does not determine a parameter that an angle needs, and `nominal` is False.
     """
     where = known_provenance(result.provenance)
     gravity_mg = where.gravity_mps2 * MG_PER_MPS2
@@ -518,7 +519,8 @@ def calibration_as_recorded(result: FitResult) -> Calibration:
     rows = [result.names.index(name) for name in given]
     matrix = None if result.covariance is None else result.covariance[np.ix_(rows, rows)]
     parameters = tuple(Coefficient.of(name, estimates[name]) for name in names)
-    assumed = assumed_parameters(model, names)
+    missing = tuple(name for name in names_of(model) if name not in names)
+    assumed = missing if nominal else assumed_parameters(model, names)
     if result.sources is not None:
         gradients = {one.name: one.gradient for one in result.outputs}
         slopes = np.stack([gradients[name] for name in given])

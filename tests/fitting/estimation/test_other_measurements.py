@@ -21,7 +21,7 @@ class ZeroRate(Measurement):
     axes = 3
     freedom = 0
 
-    def begin(self, reading, turn_rad, declared, conditions):
+    def begin(self, reading, angle_rad, conditions):
         return reading.mean(axis=0), np.zeros((len(reading), 0))
 
     def ideal(self, base, attitude, turn_rad):

@@ -304,7 +304,7 @@ class Accelerometers:
             raise FitError(
                 f"{session.source}: the fit does not give {', '.join(missing) or 'uncertainties'}"
             )
-        own, axes = calibration_as_recorded(result), len(gains)
+        own, axes = calibration_as_recorded(result, nominal=True), len(gains)
         # Readings of the dwell if the offsets were those of the recording.
         offsets = {axis.axis: (axis.now - axis.recorded) * axis.lsb for axis in plan.axes}
         moved = np.array([offsets.get(axis, 0.0) for axis in AXES[:axes]])
