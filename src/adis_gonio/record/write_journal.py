@@ -22,7 +22,6 @@ from typing import Any, Literal
 
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import join_words
-from adis_gonio.device.sensor.driver import ENDURANCE_WRAP
 from adis_gonio.device.sensor.registers import ACCEL_OFF, BY_NAME, GYRO_OFF
 from adis_gonio.model.records import Session
 
@@ -308,7 +307,7 @@ def _in_flash(
         if operation.saved:
             flash = certain
         elif WriteStep.SAVING in operation.steps and operation.endurance is not None:
-            written = (endurance - operation.endurance) % ENDURANCE_WRAP
+            written = endurance - operation.endurance
             if operation is known[-1] and written == 1 and all(now[k] == asked[k] for k in asked):
                 flash = certain
             elif written:

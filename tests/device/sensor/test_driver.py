@@ -13,6 +13,7 @@ from adis_gonio.base.errors import (
     AdisGonioError,
     ChipError,
     SilentChipError,
+    StatusError,
     UsageError,
     VariantError,
     VerifyError,
@@ -464,13 +465,47 @@ def test_a_flash_update_that_was_not_done_is_found_by_the_counter():
         sensor.save_to_flash()
 
 
-def test_a_worn_flash_is_not_written():
-    script = [*CONFIGURATION, *checked_reading((0x0000, 10_000))]
+def test_a_flash_update_that_the_chip_reports_as_failed_is_an_error_although_it_was_counted():
+    script = [
+        *CONFIGURATION,
+        *checked_reading((0x0000, 7)),
+        (0x2600, 0), (0x2800, 0), (0x0000, 0),
+        (0xBE08, 0), *checked_reading((0x0000, 8)),
+        (0x3C00, 0), (0x0000, 0x0004),  # STATUS[2]: the flash update failed
+    ]  # fmt: skip
     with (
         Adis16354(ExpectedFrames(script), check=False) as sensor,
-        pytest.raises(ChipError, match="lasts 10000"),
+        pytest.raises(StatusError, match="a flash update failed"),
     ):
         sensor.save_to_flash()
+
+
+def test_a_factory_restore_that_leaves_an_offset_is_an_error():
+    left = [0, 0, 0, 0, 0x0FFF, 0]  # YACCL_OFF is -1
+    offsets = [0x1A00, 0x1C00, 0x1E00, 0x2000, 0x2200, 0x2400]
+    script = [
+        *CONFIGURATION,
+        *checked_reading((0x0000, 7)),
+        (0x2600, 0), (0x2800, 0), (0x0000, 0),
+        (0xBE02, 0), *checked_reading((0x0000, 8)),
+        (0x3C00, 0), (0x0000, 0),
+        *zip([*offsets, 0x0000], [0, *left], strict=True),
+    ]  # fmt: skip
+    with (
+        Adis16354(ExpectedFrames(script), check=False) as sensor,
+        pytest.raises(VerifyError, match="offsets are not zero"),
+    ):
+        sensor.restore_factory()
+
+
+def test_the_flash_is_written_ten_thousand_times_and_no_more():
+    world = World(seed=3)
+    bus = SimBus(world=world, chip=SimulatedChip(world, start_s=-0.5, endurance=9_999))
+    with Adis16354(bus, check=False) as sensor:
+        assert sensor.save_to_flash() == 10_000
+        with pytest.raises(ChipError, match="lasts 10000"):
+            sensor.save_to_flash()
+        assert sensor.endurance() == 10_000
 
 
 def test_the_self_test_passes_on_a_sound_chip(sensor):
@@ -646,6 +681,39 @@ def test_a_rate_alarm_too_slow_for_the_register_is_refused_and_nothing_is_writte
     with pytest.raises(UsageError, match=r"the least is 0\.4672 mg a sample"):
         sensor.set_alarm(1, Alarm("YACCL_OUT", 0.2, rate_samples=50))
     assert len(bus.writes) == before
+
+
+@pytest.mark.parametrize(
+    ("alarm", "words"),
+    [
+        # 15 °C above the zero of the register at 25 °C, in steps of 0.1453 °C
+        (Alarm("YTEMP_OUT", 40.0), (0x8000 | 103, 0, 0x0900)),
+        (Alarm("YTEMP_OUT", 10.0, above=False), (0x0FFF & -103, 0, 0x0900)),
+        # a change has no zero
+        (Alarm("YTEMP_OUT", 1.453, rate_samples=20), (0x8000 | 10, 20, 0x0940)),
+        (Alarm("XGYRO_OUT", -73.26, filtered=True), (0x8000 | 0x3FFF & -1000, 0, 0x0210)),
+        (Alarm("SUPPLY_OUT", 0.0, above=False), (0, 0, 0x0100)),
+    ],
+)
+def test_an_alarm_is_written_in_the_format_of_its_source(sensor, alarm, words):
+    sensor.set_alarm(1, alarm)
+    assert tuple(sensor.read_words(["ALM_MAG1", "ALM_SMPL1", "ALM_CTRL"])) == words
+
+
+def test_alarms_that_the_chip_does_not_have_are_refused(sensor):
+    lsb = sensor.variant.accel_mg_per_lsb
+    for threshold in (8191 * lsb, -8192 * lsb):
+        sensor.set_alarm(2, Alarm("XACCL_OUT", threshold))
+    for threshold in (8192 * lsb, -8193 * lsb):
+        with pytest.raises(UsageError, match="outside the range of XACCL_OUT"):
+            sensor.set_alarm(2, Alarm("XACCL_OUT", threshold))
+    with pytest.raises(UsageError, match="ENDURANCE cannot raise an alarm"):
+        sensor.set_alarm(2, Alarm("ENDURANCE", 1.0))
+    for number in (0, 3):
+        with pytest.raises(UsageError, match=f"alarm {number} does not exist"):
+            sensor.set_alarm(number, Alarm("XACCL_OUT", 1.0))
+        with pytest.raises(UsageError, match=f"alarm {number} does not exist"):
+            sensor.clear_alarm(number)
 
 
 def test_a_sleeping_part_wakes_at_a_pulse_and_works_on(sensor):
