@@ -188,19 +188,33 @@ def test_the_first_error_in_a_stream_counts_and_a_failed_restoration_is_not_hidd
         next(scans)
 
 
-def test_a_line_that_sticks_within_a_block_ends_the_stream():
-    words = np.full((40, 3), ND, np.uint16)
-    words[12:20] = 0xFFFF
-    stream = StreamedScans(Played(words, 10), layout())
-    next(stream)
-    with pytest.raises(SilentChipError, match="stuck high"):
-        next(stream)
+@pytest.mark.parametrize(
+    ("ones", "names", "stuck"),
+    [
+        (8, ACCEL_OUT, True),
+        (7, ACCEL_OUT, False),
+        # One LSB below zero with an error flag: that is likely enough for two registers.
+        (8, ACCEL_OUT[:2], False),
+    ],
+)
+def test_eight_scans_of_ones_in_three_registers_prove_a_stuck_line(ones, names, stuck):
+    words = np.full((40, len(names)), ND, np.uint16)
+    words[14 : 14 + ones] = 0xFFFF  # in two blocks
+    stream = StreamedScans(Played(words, 10), layout(names))
+    assert len(next(stream)) == len(next(stream)) == 10
+    if stuck:
+        with pytest.raises(SilentChipError, match="stuck high"):
+            next(stream)
+    else:
+        assert len(next(stream)) == len(next(stream)) == 10
 
 
 def test_many_scans_without_news_end_the_stream_even_after_a_good_beginning():
     words = np.full((400, 3), ND, np.uint16)
-    words[200::2, 0] = 7
+    words[100:200:4, 0] = 7  # three new scans of four are enough
+    words[201::4, 0] = words[202::12, 0] = 7
     stream = StreamedScans(Played(words, 10), layout())
+    assert sum(next(stream).dropped for _ in range(20)) == 25
     with pytest.raises(ChipError, match=f"of {JUDGED_SCANS} scans"):
         list(stream)
 

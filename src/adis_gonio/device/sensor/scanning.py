@@ -407,18 +407,18 @@ class StreamedScans(ScanStream):
         return replace(self._block(block.words[new], block.time_s[new], block.lost), dropped=dropped)
 
     def _refuse_stuck_line(self, words: Words) -> None:
-        """Raise `SilentChipError` if the latest scans are all ones, which a stuck data line causes.
+        """Raise `SilentChipError` if successive scans are all ones, which a stuck data line causes.
 
         All ones look like new data. `words` (n, k) are the scans that have just arrived.
         """
         if self._flags.sum() < STUCK_REGISTERS:
             return
         ones = (words[:, self._flags] == STUCK_HIGH).all(axis=1)
-        if ones.all():
-            self._scans_of_ones += len(ones)
-        else:
-            self._scans_of_ones = int(np.argmin(ones[::-1]))  # scans after the last one with a zero bit
-        if self._scans_of_ones >= STUCK_SCANS:
+        # The run at the end of the earlier scans goes on; then the lengths of the runs between other scans.
+        ones = np.append(np.ones(self._scans_of_ones, bool), ones)
+        runs = np.diff(np.flatnonzero(~ones), prepend=-1, append=len(ones)) - 1
+        self._scans_of_ones = int(runs[-1])
+        if runs.max() >= STUCK_SCANS:
             raise SilentChipError(
                 "nothing answers, scans at data-ready edges are all ones: the data line (MISO) is stuck"
                 " high; check supply, chip select and wires"
