@@ -112,6 +112,15 @@ def test_the_edge_that_leads_is_found_whatever_the_width_of_the_pulse(width_us, 
         assert edge.outcome is Outcome.CONFIRMS
 
 
+@pytest.mark.parametrize("rate_error", [-0.028, 0.03])
+def test_a_clock_that_a_bridge_of_32_frames_cannot_measure_does_not_accuse_data_ready(rate_error):
+    bus = Board(rate_error=rate_error).open(1)
+    bus.unbroken_frames = 32
+    found = bring_up(bus, steps=only("link", "timing", "bit errors", "sample rate", "data-ready"))
+    assert found.row("sample rate").verdict is Verdict.NOT_MEASURED
+    assert found.row("data-ready").verdict is Verdict.OK
+
+
 @pytest.mark.parametrize("counts", [True, False])
 def test_a_board_without_the_wire_is_not_accused_and_polls(counts):
     found = bring_up(

@@ -411,6 +411,8 @@ HOST_CLOCK_U = 100e-6 / np.sqrt(3)
 """Relative standard uncertainty of a computer's clock: quartz, within 100 ppm."""
 BOARD_CLOCK_U = 5e-3 / np.sqrt(3)
 """Relative standard uncertainty of a bridge's clock: a ceramic resonator, within 0.5 %."""
+PART_CLOCK = 0.03
+"""Largest relative error of the part's clock."""
 
 
 LONGEST_S = 40.0
@@ -476,6 +478,8 @@ class BringupBench:
         Reason why no further step can measure; empty while steps can.
     clock : float
         Measured period of the sample update divided by its nominal period; 1 if unknown.
+    clock_error : float
+        Largest relative error of the part's clock that `clock` does not include.
     data_ready : bool
         True if edges of data-ready were seen to follow the updates.
     supply_ok : bool
@@ -488,6 +492,7 @@ class BringupBench:
     sensor: Adis16354
     blocked: str = ""
     clock: float = 1.0
+    clock_error: float = PART_CLOCK
     data_ready: bool = False
     supply_ok: bool = True
     constants: dict[str, int] = field(default_factory=dict)

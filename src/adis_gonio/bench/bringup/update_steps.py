@@ -14,6 +14,7 @@ from adis_gonio.base.numbers import signed
 from adis_gonio.bench.bringup.bringup_step import (
     BOARD_CLOCK_U,
     HOST_CLOCK_U,
+    PART_CLOCK,
     BringupBench,
     Ending,
     NotMeasuredError,
@@ -35,9 +36,8 @@ _BENT = 0.02
 """Largest relative error of a bridge's times while the rate of its clock is being estimated."""
 
 
-_CLOCK, _STEADY = 0.03, 0.004
-"""Largest relative error of the part's clock, and of the ratio of two periods (the clocks of part and host
-change)."""
+_STEADY = 0.004
+"""Largest relative error of the ratio of two periods (the clocks of part and host change)."""
 
 
 def measure_period(bench: BringupBench, expected_s: float, updates: int) -> tuple[float, float]:
@@ -104,7 +104,7 @@ def measure_rate(bench: BringupBench, found: StepResult) -> Ending:
     rate = 1 / period
     found.measure("sample rate", rate, "Hz", rate * u / period, 1 / expected)
     found.measure("period", 1e6 * period, "us", 1e6 * u, 1e6 * expected)
-    bench.clock = period / expected
+    bench.clock, bench.clock_error = period / expected, 0.0
     if abs(period - expected) <= Z * u:
         return Verdict.OK, f"{rate:.2f} updates a second, as SMPL_PRD says"
     code = nearest_code(period)
@@ -133,6 +133,8 @@ class _Edges:
         Rms deviation of the scans' times from even steps, and their rate.
     expected : float
         Number of sample updates in the time of the scans.
+    slack : float
+        Largest difference between the numbers of edges and of updates that is not a fault.
     """
 
     position: NDArray[np.int64]
@@ -140,19 +142,12 @@ class _Edges:
     jitter_us: float
     rate_hz: float
     expected: float
+    slack: float
 
     @property
     def surplus(self) -> float:
         """Number of data-ready edges minus number of sample updates."""
         return len(self.position) + self.lost - self.expected
-
-    @property
-    def slack(self) -> float:
-        """Largest difference between the numbers of edges and of updates that is not a fault.
-
-        It allows for one edge at each end of the scans, and for the error of the bridge's clock.
-        """
-        return 2 + _BENT * self.expected
 
     @property
     def missed(self) -> int:
@@ -196,8 +191,8 @@ def check_data_ready(bench: BringupBench, found: StepResult) -> Ending:
             _enable_data_ready(bench, before, first=True)
             expected, edges = _count_edges(bench, period)
             found.measure("edges counted", edges, expected=expected)
-            # Two edges may lie on either side of the span; the bridge's clock is off by so much.
-            slack = 2 + Z * BOARD_CLOCK_U * expected
+            # Two edges may lie on either side of the span, and the clocks of bridge and part are off.
+            slack = 2 + (Z * BOARD_CLOCK_U + bench.clock_error) * expected
             if edges == 0:
                 raise NotMeasuredError(_NO_EDGE)
             if abs(edges - expected) > slack:
@@ -287,7 +282,9 @@ def _scan_at_edges(bench: BringupBench, period_s: float) -> _Edges:
     times = np.concatenate([block.time_s for block in blocks])
     lost = sum(block.lost for block in blocks[1:])  # edges before the first block do not count
     expected = float(times[-1] - times[0]) / period_s
-    return _Edges(_positions(words), lost, *_jitter(times, period_s), expected)
+    # Allow for one edge at each end of the scans, and for the errors of the bridge's and the part's clocks.
+    slack = 2 + (_BENT + bench.clock_error) * expected
+    return _Edges(_positions(words), lost, *_jitter(times, period_s), expected, slack)
 
 
 def _judge_edges(
@@ -371,7 +368,7 @@ def measure_periods(bench: BringupBench, found: StepResult) -> Ending:
     # All periods come from one clock, whose error the most precise ratio shows.
     clock, clock_u = min(ratios, key=lambda one: one[1])
     off = clock - 1
-    wrong = [f"the periods are {100 * off:.2g} % off"] if abs(off) > _CLOCK + Z * clock_u else []
+    wrong = [f"the periods are {100 * off:.2g} % off"] if abs(off) > PART_CLOCK + Z * clock_u else []
     wrong += [
         f"{figure.name} is {figure.value:.4g} ms instead of {figure.expected:.4g} ms"
         for figure, (ratio, u) in zip(found.figures, ratios, strict=True)
