@@ -13,6 +13,7 @@ from adis_gonio.base.errors import DataError, FitError
 from adis_gonio.faces.cli import main
 from adis_gonio.handover.register_offsets import offset_words, offset_words_in, registers_text
 from handover.calibrations import PLANE, calibration
+from handover.gyros import ZERO, with_gyros
 
 LSB = 0.4672
 
@@ -64,6 +65,25 @@ def test_a_calibration_that_gives_no_offsets_is_refused_with_the_reason(made, re
     made.save(tmp_path / "own.json")
     with pytest.raises(FitError, match=reason):
         offset_words_in(tmp_path / "own.json")
+
+
+@pytest.mark.parametrize(
+    ("bias_mg", "rate_dps", "given", "reason"),
+    [
+        (970.0, 1.21, "GYRO_OFF", "not compared: XACCL_OFF holds -2048 to 2047"),
+        (12.0, 90.0, "ACCL_OFF", "not compared: XGYRO_OFF holds -4096 to 4095"),
+    ],
+)
+def test_registers_say_why_a_part_of_the_calibration_gives_no_offsets(
+    bias_mg, rate_dps, given, reason, tmp_path, capsys
+):
+    path = str(tmp_path / "both.json")
+    own = calibration({**PLANE, "bias_x": bias_mg})
+    with_gyros(own, {**ZERO, "gyro_bias_x": rate_dps}).save(path)
+    assert main(["registers", "sim:?seed=1", f"Y{given}", "--cal", path]) == 0
+    shown = capsys.readouterr()
+    assert "(u " in shown.out
+    assert reason in shown.err
 
 
 def test_what_has_no_offset_registers_or_no_bias_is_refused():

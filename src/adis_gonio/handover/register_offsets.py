@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from adis_gonio.base.errors import AdisGonioError, DataError, FitError
+from adis_gonio.base.errors import AdisGonioError, FitError
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import signed
 from adis_gonio.calibrate.calibration import Calibration, Coefficient
@@ -121,34 +121,33 @@ def gyro_offset_words(gyro: GyroCalibration) -> tuple[OffsetWord, ...]:
     return _words(rates, "GYRO_OFF", gyro.offsets_lsb, GYRO_OFFSET_DPS, "°/s")
 
 
-def offset_words_in(path: str | Path) -> tuple[OffsetWord, ...]:
+def offset_words_in(path: str | Path) -> tuple[tuple[OffsetWord, ...], tuple[str, ...]]:
     """Return the numbers for the offset registers from the file of a calibration or a session.
 
-    The numbers are for gyros and accelerometers, as far as the file determines them. If it gives no numbers
-    for the accelerometers, those for the gyros are returned alone.
+    The numbers are for accelerometers and gyros. The second tuple has the reason if the file gives no
+    numbers for one of them.
 
     Raises
     ------
     DataError
         The file is neither a calibration nor a session.
     FitError
-        The file gives no numbers for either, or a zero rate is too large for its register.
+        The file gives no numbers for either.
     """
-    try:
-        calibration = load_calibration(path)
-    except (DataError, FitError) as error:
+    words: list[OffsetWord] = []
+    refused: list[AdisGonioError] = []
+    finds: tuple[Callable[[], tuple[OffsetWord, ...]], ...] = (
+        lambda: offset_words(load_calibration(path)),
+        lambda: gyro_offset_words(load_gyro_calibration(path)),
+    )
+    for find in finds:
         try:
-            gyro = load_gyro_calibration(path)
-        except AdisGonioError:
-            raise error from None
-        return gyro_offset_words(gyro)
-    words = () if calibration.gyro is None else gyro_offset_words(calibration.gyro)
-    try:
-        return (*words, *offset_words(calibration))
-    except FitError:
-        if not words:
-            raise
-        return words
+            words += find()
+        except AdisGonioError as error:
+            refused.append(error)
+    if not words:
+        raise refused[0]
+    return tuple(words), tuple(map(str, refused))
 
 
 def registers_text(calibration: Calibration) -> str:

@@ -218,7 +218,10 @@ def registers_command(
     if calibration_path is not None:
         from adis_gonio.handover.register_offsets import offset_words_in
 
-        wanted = {offset.name: offset for offset in offset_words_in(calibration_path)}
+        offsets, refused = offset_words_in(calibration_path)
+        wanted = {offset.name: offset for offset in offsets}
+        for reason in refused:
+            click.echo(f"not compared: {reason}", err=True)
     with open_sensor(url, variant=variant, check=not no_check) as sensor:
         # All values are parsed before the first one is written.
         numbers = [(row, _parse_number(sensor, row, text)) for row, text in writes]
