@@ -89,7 +89,8 @@ class Mistakes:
 def answer(session: Session, law: Law) -> Answer:
     """What the oracle says of a session."""
     seen = _Seen.of(session)
-    faults = [fault for fault in _faults(seen, law) if seen.near(fault)]
+    every = [*_faults(seen, law)]
+    faults = [fault for fault in every if seen.near(fault)] or every
     found = [seen.evidence(fault, law) for fault in faults]
     logs = np.array([one[0] for one in found])
     best = int(np.argmax(logs))

@@ -57,6 +57,12 @@ def test_a_session_without_turns_is_judged_by_gravity_alone(mistyped):
     assert (one.position, one.gyro_deg) == (truth.positions[0], None)
 
 
+def test_the_oracle_answers_a_session_that_no_fault_comes_near():
+    session, _ = session_of(5, None)
+    dwells = [replace(dwell, angle_deg=37.0 * k**2) for k, dwell in enumerate(session.dwells)]
+    assert 0 < answer(replace(session, dwells=tuple(dwells)), LAW).probability <= 1
+
+
 def test_a_fit_that_fails_says_which_position_is_wrong(mistyped):
     session, truth = mistyped
     told = failure_message(replace(session, source="a.csv"), FitError("nothing is determined"))
