@@ -123,7 +123,7 @@ class Origin:
     determination: Determination | None = None
 
 
-MAIN = {"delta_k", "delta_phi"}
+MAIN = ("delta_k", "delta_phi")
 """Names of the main parameters of a session in the plane."""
 MISFIT = (
     "The model does not describe this session: the residual is larger than the noise."
@@ -193,7 +193,7 @@ class FitResult(FittedParameters, kw_only=True):
         return (MISFIT,) if self.extra_mg else ()
 
     def __repr__(self) -> str:
-        lead = [name for name in ("delta_k", "delta_phi") if name in self] or self.names[:2]
+        lead = [name for name in MAIN if name in self] or self.names[:2]
         values = ", ".join(f"{name} {self[name]}" for name in lead)
         return f"FitResult({self.method}, {counted(len(self.positions), 'dwell')}, {values})"
 
@@ -519,8 +519,7 @@ def calibration_as_recorded(result: FitResult, *, nominal: bool = False) -> Cali
     rows = [result.names.index(name) for name in given]
     matrix = None if result.covariance is None else result.covariance[np.ix_(rows, rows)]
     parameters = tuple(Coefficient.of(name, estimates[name]) for name in names)
-    missing = tuple(name for name in names_of(model) if name not in names)
-    assumed = missing if nominal else assumed_parameters(model, names)
+    assumed = assumed_parameters(model, names, nominal=nominal)
     if result.sources is not None:
         gradients = {one.name: one.gradient for one in result.outputs}
         slopes = np.stack([gradients[name] for name in given])
@@ -596,18 +595,21 @@ def known_provenance(where: Provenance | None) -> Provenance:
     return where
 
 
-def assumed_parameters(model: Measurement, names: Sequence[str]) -> tuple[str, ...]:
+def assumed_parameters(
+    model: Measurement, names: Sequence[str], *, nominal: bool = False
+) -> tuple[str, ...]:
     """Return the names of the model's parameters that are not in `names` and keep their nominal values.
 
-    `names` are the parameters that the session determines.
+    `names` are the parameters that the session determines. `nominal` allows each other parameter to be
+    nominal, which is not enough to compute an angle.
 
     Raises
     ------
     FitError
-        An undetermined parameter is needed to compute an angle.
+        An undetermined parameter is needed to compute an angle, and `nominal` is False.
     """
     missing = [name for name in names_of(model) if name not in names]
     needed = [name for name in missing if not name.startswith(("bias", "alpha", "scale_y"))]
-    if needed:
+    if needed and not nominal:
         raise FitError(f"the session does not determine {', '.join(needed)}: record more positions")
     return tuple(missing)
