@@ -71,13 +71,11 @@ def measure_period(bench: BringupBench, expected_s: float, updates: int) -> tupl
     for _ in range(64 + 2 * updates):
         words, frame_s = bench.repeated(_READ, batch)
         at = np.flatnonzero(words & ND)
+        at = at[at > 0]  # the update that the first word shows may have come long before the batch
         if len(at) > 1:
-            if at[0] == 0:
-                at = at[1:]  # this update may have come long before the batch
-            if len(at) > 1:
-                spans += float(at[-1] - at[0]) * frame_s
-                periods += len(at) - 1
-                ends += 1
+            spans += float(at[-1] - at[0]) * frame_s
+            periods += len(at) - 1
+            ends += 1
         looked_s += len(words) * frame_s
         if periods >= updates or (not periods and looked_s > 256 * expected_s):
             break
