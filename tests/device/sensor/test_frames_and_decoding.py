@@ -18,9 +18,14 @@ from adis_gonio.device.sensor.settings import (
     Configuration,
     ScanBlock,
     decode_numbers,
+    filter_response,
     filter_settling_samples,
+    filter_weights,
     join,
     low_pass_3db_hz,
+    mean_at_rest,
+    rounding_covariance,
+    rounding_spectrum,
     sample_period_s,
     sens_avg_word,
     smpl_prd_for,
@@ -174,7 +179,40 @@ def test_the_filter_halves_the_power_at_its_cut_off(m):
     cycles = low_pass_3db_hz(m, 100.0) / 100.0
     gain = np.abs(np.sum(taps * np.exp(-2j * np.pi * cycles * np.arange(len(taps)))))
     assert gain**2 == pytest.approx(0.5)
+    assert filter_response(m, np.array([0.0, cycles])) == pytest.approx([1.0, 0.5])
     assert low_pass_3db_hz(0, 100.0) == 350.0  # data sheet: the poles of the front end
+
+
+@pytest.mark.parametrize("m", [0, 4])
+def test_the_uncertainty_of_a_mean_at_rest_is_the_scatter_of_such_means(m):
+    rng, lsb, sigma, n = np.random.default_rng(m), 0.5, 4.0, 256
+    noise = sigma * rng.standard_normal((n + 2 * 2**m - 2, 400))
+    box = filter_weights(m)
+    filtered = np.stack([np.convolve(column, box, "valid") for column in noise.T], axis=1)
+    means, u = mean_at_rest(lsb * np.rint(filtered / lsb), np.full(400, lsb), m)
+    assert u.mean() == pytest.approx(means.std(), rel=0.1)
+
+
+def test_the_mean_of_a_constant_number_is_uncertain_by_its_rounding():
+    means, u = mean_at_rest(np.full((100, 2), 7.0), np.array([0.5, 2.0]), 2)
+    assert means.tolist() == [7.0, 7.0]
+    assert u == pytest.approx([0.5 / 12**0.5, 2.0 / 12**0.5])
+
+
+@pytest.mark.parametrize(("m", "sigma"), [(0, 0.6), (2, 1.5), (4, 3.0)])
+def test_rounding_of_filtered_noise_has_the_predicted_covariance_and_spectrum(m, sigma):
+    box, n = filter_weights(m), 400_000
+    exact = np.convolve(sigma * np.random.default_rng(m).standard_normal(n), box, "valid")
+    error = np.rint(exact) - exact
+    covariance = rounding_covariance(m, sigma)
+    for lag in range(min(4, len(box))):
+        measured = np.mean(error[: len(error) - lag] * error[lag:])
+        assert measured == pytest.approx(covariance[lag], abs=8e-4)
+    taper = np.hanning(64)
+    segments = error[: len(error) // 64 * 64].reshape(-1, 64)
+    power = np.mean(np.abs(np.fft.rfft(segments * taper)) ** 2, axis=0) / np.sum(taper**2)
+    predicted = rounding_spectrum(m, sigma, np.arange(33) / 64)
+    assert power[2:-2] == pytest.approx(predicted[2:-2], rel=0.12, abs=2e-3)
 
 
 def test_an_undefined_range_code_is_unknown_not_guessed():
