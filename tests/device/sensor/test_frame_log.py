@@ -72,25 +72,72 @@ def test_the_log_counts_the_scans_of_a_block_and_the_lost_ones(lost: int, value:
     assert (row.record, row.time_s, row.action, row.value) == (7, 3.5, "block", value)
 
 
-def test_the_log_finds_frames_that_break_a_rule_of_timing(tmp_path: Path) -> None:
-    path = tmp_path / "bad.rec"
-    bus = RecordingBus(SimBus(World(seed=1)), path)
-    bus.exchange([0x3600, 0x0000])  # SMPL_PRD is 1: fast mode
-    bus.configure(SpiTiming(1e6, 9.0, 40.0))
-    bus.exchange([0xB60A, 0x0000])  # SMPL_PRD 0x0A: normal mode from here on
-    bus.exchange([0x0A00, 0x0000])
-    bus.configure(SpiTiming(250e3, 75.0, 160.0))
-    bus.exchange([0x0A00, 0xBE80])  # a reset …
-    bus.exchange([0x0C00, 0x0000])  # … and a frame at once
-    bus.sleep_s(0.3)
-    bus.exchange([0x0E00, 0x0000])
-    bus.close()
-    problems = {row.register: row.problem for row in rows_of(path) if row.frame}
-    assert "kHz" in problems["XACCL_OUT"] or not problems["XACCL_OUT"]
-    first_x = next(row for row in rows_of(path) if row.register == "XACCL_OUT")
-    assert "1000 kHz" in first_x.problem
-    assert "reset" in problems["YACCL_OUT"]
-    assert not problems["ZACCL_OUT"]
+@pytest.mark.parametrize(
+    ("smpl_prd", "timing", "problem"),
+    [
+        # Fast mode: at most 2 MHz, at least 40 µs a frame and 9 µs between frames, each within 1 %.
+        (0x09, SpiTiming(2.01e6, 32.0, 40.0), ""),
+        (0x09, SpiTiming(2.03e6, 32.0, 40.0), "clock 2030 kHz, at most 2000 kHz"),
+        (0x09, SpiTiming(1e6, 9.0, 39.7), ""),
+        (0x09, SpiTiming(1e6, 9.0, 39.5), "period 39.5 µs, at least 40 µs"),
+        (0x09, SpiTiming(250e3, 8.95, 72.95), ""),
+        (0x09, SpiTiming(250e3, 8.8, 72.8), "stall 8.8 µs, at least 9 µs"),
+        # Normal mode: 300 kHz, 160 µs, 75 µs.
+        (0x0A, SpiTiming(302e3, 107.0, 160.0), ""),
+        (0x0A, SpiTiming(304e3, 107.0, 160.0), "clock 304 kHz, at most 300 kHz"),
+        (0x0A, SpiTiming(250e3, 75.0, 159.0), ""),
+        (0x0A, SpiTiming(250e3, 75.0, 158.0), "period 158 µs, at least 160 µs"),
+        (0x0A, SpiTiming(100e3, 74.5, 235.0), ""),
+        (0x0A, SpiTiming(100e3, 74.0, 235.0), "stall 74 µs, at least 75 µs"),
+    ],
+)
+def test_the_log_finds_frames_that_break_a_rule_of_timing(
+    smpl_prd: int, timing: SpiTiming, problem: str
+) -> None:
+    facts = {"clock_hz": timing.clock_hz, "stall_us": timing.stall_us, "period_us": timing.period_us}
+    mode = np.array([0xB600 | smpl_prd], np.uint16)
+    calls = [
+        Call(1, "exchange", 0.0, 0.1, mode, result=np.zeros(1, np.uint16)),
+        Call(2, "configure", 0.1, 0.1, result=facts),
+        Call(3, "exchange", 0.2, 0.3, np.array([0x0A00], np.uint16), result=np.zeros(1, np.uint16)),
+    ]
+    *_, row = FrameLog(variant("adis16354")).rows(calls)
+    assert (row.register, row.problem) == ("XACCL_OUT", problem)
+
+
+@pytest.mark.parametrize(
+    ("command", "busy_s"),
+    [(0x80, 0.15), (0x02, 0.15), (0x08, 0.1), (0x01, 0.1), (0x10, 30.1), (0x04, 0.0)],
+)
+def test_the_log_finds_frames_while_the_chip_carries_out_a_command(command: int, busy_s: float) -> None:
+    def frame(number: int, time_s: float, word: int) -> Call:
+        return Call(
+            number, "exchange", time_s, time_s, np.array([word], np.uint16), result=np.zeros(1, np.uint16)
+        )
+
+    log = FrameLog(variant("adis16354"))
+    calls = [frame(1, 0.0, 0xBE00 | command), frame(2, busy_s - 0.02, 0x0A00), frame(3, busy_s, 0x0C00)]
+    _, during, after = log.rows(calls)
+    assert during.problem.startswith("sent 0.02 s before the end of" if busy_s else "")
+    assert bool(during.problem) == bool(busy_s)
+    assert not after.problem
+
+
+@pytest.mark.parametrize("way", ["command", "hard"])
+def test_the_log_judges_no_timing_after_a_reset_until_the_mode_is_read(tmp_path: Path, way: str) -> None:
+    path = tmp_path / "reset.rec"
+    with RecordingBus(SimBus(World(seed=1)), path) as bus:
+        bus.exchange([0xB60A, 0x0A00])  # normal mode
+        bus.configure(SpiTiming(1e6, 9.0, 40.0))
+        bus.exchange([0x0A00, 0xBE80 if way == "command" else 0x0000])
+        if way == "hard":
+            bus.hard_reset()
+        bus.sleep_s(0.3)
+        bus.exchange([0x0C00, 0xB60A, 0x0E00])
+    problems = [
+        row.problem for row in rows_of(path) if row.register in ("XACCL_OUT", "YACCL_OUT", "ZACCL_OUT")
+    ]
+    assert [bool(problem) for problem in problems] == [False, True, False, True]
 
 
 def test_the_log_finds_frames_too_soon_after_a_hard_reset(tmp_path: Path) -> None:

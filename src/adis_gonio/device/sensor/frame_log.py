@@ -2,7 +2,8 @@
 
 The timing rules come from the data sheet (DS; sources in `registers`): the clock, stall and period that the
 mode of SMPL_PRD needs, and silence after a reset, a restore, a flash update or a precision autonull. The
-mode is known from the first access to SMPL_PRD on; before that no timing rule is checked.
+mode is known from the first access to SMPL_PRD on; before that, and after a reset until the next access,
+no timing rule is checked.
 """
 
 from __future__ import annotations
@@ -94,6 +95,7 @@ class FrameLog:
                     self._timing = SpiTiming(**call.result)
                 elif call.name == "hard_reset":
                     self._busy_until_s, self._busy_with = call.begin_s + BUSY_S["reset"], "a hard reset"
+                    self._smpl_prd = None
                 yield FrameRow(
                     call.number, call.begin_s, call.name, value=_described(call), problem=_failure(call)
                 )
@@ -170,6 +172,8 @@ class FrameLog:
         if row.name == "COMMAND":
             for name in started_commands(byte):
                 self._busy_until_s, self._busy_with = time_s + BUSY_S[name], name.replace("_", " ")
+                if name == "reset":  # the copy in flash, which is not known, takes effect
+                    self._smpl_prd = None
 
     def _broken_rule(self, time_s: float) -> str:
         if time_s < self._busy_until_s:
