@@ -1,5 +1,6 @@
 """A history says what moved and since when, of sessions that can be placed and trusted."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -44,6 +45,22 @@ def test_without_a_drift_one_is_called_in_no_more_than_five_percent_of_sensors()
     assert np.mean(called) <= 0.08  # 5 % and two standard errors
 
 
+@pytest.mark.parametrize(("t", "drifts"), [(3.499, True), (2.998, False)])
+def test_the_probability_of_a_drift_is_taken_times_the_number_of_quantities(t, drifts):
+    """Student's t of seven degrees of freedom: p = 1 % and 2 %, of four quantities."""
+    rate = t * 0.1 / math.sqrt(60)  # Σ(n − 4)² = 60
+    sessions = [made_up(when, u=0.1, bias_y=rate * n) for n, when in enumerate(years(9))]
+    track = history_of("A7", sessions).tracks["bias_y"]
+    assert track.drift.p_value == pytest.approx(0.01 if drifts else 0.02, rel=0.01)
+    assert track.drifts == drifts
+
+
+def test_effects_of_a_session_without_a_trace_are_unknown_and_not_none_found():
+    one, other = (made_up(when) for when in years(2))
+    shown = history_of("A7", [one, replace(other, traced=True)]).as_dict()["sessions"]
+    assert [session["effects"] for session in shown] == [None, []]
+
+
 def test_sessions_are_in_the_order_of_time_whatever_the_order_of_files():
     records = series(np.random.default_rng(3), 6)
     there = history_of("A7", records).as_dict()
@@ -64,6 +81,14 @@ def test_what_has_no_date_failed_or_is_doubtful_is_left_out_with_its_reason():
     assert "no date" in reasons[0]
     assert reasons[1] == "is damaged"
     assert "the other way" in reasons[2]
+
+
+def test_sessions_in_another_unit_than_the_latest_are_not_compared_with_it():
+    old, *mg = series(np.random.default_rng(6), 4)
+    values = old.values | {"bias_x": replace(old.values["bias_x"], value=650.0, unit="counts")}
+    tracks = history_of("A7", [replace(old, values=values), *mg]).tracks
+    assert (tracks["bias_x"].unit, tracks["bias_x"].sessions) == ("mg", (1, 2, 3))
+    assert tracks["bias_y"].sessions == (0, 1, 2, 3)
 
 
 def test_one_session_has_values_and_neither_drift_nor_chart():

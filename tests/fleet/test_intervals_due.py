@@ -8,7 +8,16 @@ import pytest
 
 from adis_gonio.base.conformity import Tolerance
 from adis_gonio.base.errors import UsageError
-from adis_gonio.fleet.calibration_due import PARAMETERS, Rules, curve_of, drifted_curve, due_of, slopes_deg
+from adis_gonio.base.uncertainty import Value
+from adis_gonio.fleet.calibration_due import (
+    PARAMETERS,
+    Rules,
+    curve_of,
+    drifted_curve,
+    due_of,
+    slopes_deg,
+    step,
+)
 from adis_gonio.fleet.sensor_history import history_of, own_u
 from fleet.made_up import made_up
 
@@ -70,6 +79,28 @@ def test_a_staircase_by_hand():
     staircase = found.rules[0]
     assert staircase.date == "2019-11-29"  # 273 days after 2019-03-01
     assert "fails the tolerance of 0.1°" in staircase.why
+
+
+@pytest.mark.parametrize(
+    ("interval", "elapsed", "off_deg", "response", "following"),
+    [
+        (100.0, 80.0, 0.079, "longer", 150.0),
+        (100.0, 79.0, 0.079, "early", 100.0),
+        (100.0, 80.0, 0.081, "kept", 100.0),
+        (1500.0, 1500.0, 0.0, "longer", 5 * 365.25),  # 2250 would be above the longest
+        (50.0, 400.0, 0.101, "shorter", 30.0),  # 25 would be below the shortest
+    ],
+)
+def test_the_limits_of_a_step(interval, elapsed, off_deg, response, following):
+    error = curve_of({"delta_phi": off_deg}, {}, 9.80665)
+    assert step(interval, elapsed, error, LIMIT)[:2] == (following, response)
+
+
+def test_a_bias_turns_the_angle_in_proportion_to_one_over_gravity():
+    sessions = made_up("2015-01-01"), made_up("2016-01-01", bias_x=1.0)
+    weak = [replace(one, gravity_mps2=9.80665 / 2) for one in sessions]
+    errors = [due_of(of(*some), LIMIT).stairs[0].error_deg for some in (sessions, weak)]
+    assert errors == pytest.approx([math.degrees(1e-3), math.degrees(2e-3)])
 
 
 def test_a_control_chart_by_hand():
@@ -134,6 +165,26 @@ def test_a_limit_below_what_a_calibration_reaches_is_due_at_once_and_says_what_t
     chart = due_of(of(*sessions), LIMIT).rules[1]
     assert chart.date == "2018-01-01"
     assert "more dwells" in chart.why
+
+
+def test_readings_in_counts_give_the_dates_of_readings_in_mg():
+    mg = [made_up(f"{2015 + n}-01-01", u=0.02, bias_x=0.4 * n, bias_y=-0.1 * n) for n in range(4)]
+    gain = 1000 / 9.80665 * 16  # counts/(m/s²): 16 counts are 1 mg
+    counts = []
+    for one in mg:
+        values = one.values | {f"scale_{axis}": Value(gain, 0.1, "counts/(m/s²)") for axis in "xy"}
+        for name in ("bias_x", "bias_y"):
+            values[name] = Value(32768 + 16 * one.values[name].value, 16 * 0.02, "counts")
+        counts.append(replace(one, values=values))
+    found = [due_of(of(*sessions), LIMIT) for sessions in (mg, counts)]
+    assert found[0].date == found[1].date
+    assert [rule.date for rule in found[0].rules] == [rule.date for rule in found[1].rules]
+    for one, other in zip(found[0].stairs, found[1].stairs, strict=True):
+        assert other.error_deg == pytest.approx(one.error_deg)
+        assert (other.response, other.verdict) == (one.response, one.verdict)
+    # A bias in counts and a bias in mg have no difference.
+    (stair,) = due_of(of(mg[0], counts[1]), LIMIT).stairs
+    assert stair.error_deg == 0
 
 
 def test_the_earlier_date_counts():

@@ -35,6 +35,7 @@ from adis_gonio.base.jsonable import INLINE, JsonRecord, key
 from adis_gonio.base.numbers import NAMES, counted, format_uncertain
 from adis_gonio.fitting.uncertainty import PLACES, gradient_of_base
 from adis_gonio.fleet.sensor_history import LEAST, YEAR_DAYS, Drift, History, date_of, own_u
+from adis_gonio.fleet.session_record import SessionRecord
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 PARAMETERS = ("delta_k", "delta_phi", "bias_x", "bias_y")
@@ -213,11 +214,22 @@ def step(
     return interval_days, "kept", verdict
 
 
+def _factor(record: SessionRecord, name: str) -> float:
+    """Return the factor from the unit of a change of a parameter to that of `slopes_deg`.
+
+    It is 1 except for a bias in counts, which the gain of the session converts to mg.
+    """
+    if record.values[name].unit != "counts":
+        return 1.0
+    gain = record.values[name.replace("bias", "scale")].value  # counts/(m/s²)
+    return 1000.0 / (gain * STANDARD_GRAVITY_MPS2)
+
+
 def staircase_of(history: History, limits: Rules) -> list[Stair]:
     """List the changes of the calibration interval so far, one for each session from the second on.
 
-    A session that shares no parameter with the last used session gives none. `limits` has the tolerance and
-    the first interval.
+    A session that shares no parameter with the last used session gives none. A parameter is shared if both
+    sessions have it in one unit. `limits` has the tolerance and the first interval.
     """
     days, sessions = history.days, history.sessions
     interval, stairs = limits.first_days, []
@@ -225,11 +237,13 @@ def staircase_of(history: History, limits: Rules) -> list[Stair]:
     for n in range(1, len(sessions)):
         pair = [sessions[last], sessions[n]]
         one, other = (record.values for record in pair)
-        # Change of each parameter that both sessions determine, and its standard uncertainty.
-        difference = {m: other[m].value - one[m].value for m in PARAMETERS if m in one and m in other}
-        if not difference:
+        # Change of each parameter that both sessions determine in one unit, and its standard uncertainty.
+        names = [m for m in PARAMETERS if m in one and m in other and one[m].unit == other[m].unit]
+        if not names:
             continue
-        u = {name: float(np.linalg.norm(own_u(pair, name))) for name in difference}
+        factor = {name: _factor(pair[0], name) for name in names}
+        difference = {name: factor[name] * (other[name].value - one[name].value) for name in names}
+        u = {name: factor[name] * float(np.linalg.norm(own_u(pair, name))) for name in names}
         gravity = sessions[n].gravity_mps2 or STANDARD_GRAVITY_MPS2
         error = curve_of(difference, u, gravity)
         elapsed = float(days[n] - days[last])
@@ -272,10 +286,11 @@ def drifted_curve(history: History, drifts: Mapping[str, Drift], days: float) ->
     for name, drift in drifts.items():
         track, u_slope = history.tracks[name], (drift.slope.u or 0.0) / YEAR_DAYS
         own = float(np.hypot(track.u[-1], drift.between))
-        change[name] = drift.slope.value / YEAR_DAYS * days
+        factor = _factor(history.sessions[track.sessions[-1]], name)
+        change[name] = factor * drift.slope.value / YEAR_DAYS * days
         # The error of the last session is part of the error of the slope too: covariance of both.
         since = float(track.day[-1]) - drift.reference_day
-        u[name] = math.sqrt(own**2 + u_slope**2 * (days**2 + 2 * days * since))
+        u[name] = factor * math.sqrt(own**2 + u_slope**2 * (days**2 + 2 * days * since))
     gravity = history.sessions[-1].gravity_mps2 or STANDARD_GRAVITY_MPS2
     return curve_of(change, u, gravity, 2 + min(drift.slope.dof for drift in drifts.values()))
 

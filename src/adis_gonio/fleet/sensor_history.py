@@ -25,7 +25,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError, suggest
 from adis_gonio.base.jsonable import JsonRecord, json_object
-from adis_gonio.base.numbers import NAMES, counted, format_p, format_uncertain, label_quantity
+from adis_gonio.base.numbers import NAMES, counted, format_p, label_quantity
 from adis_gonio.base.uncertainty import DRIFTING, Value
 from adis_gonio.fleet.fleet_summary import unshared_u
 from adis_gonio.fleet.session_record import ANGLE, QUANTITIES, SessionRecord
@@ -306,7 +306,8 @@ class Track(JsonRecord):
     name, unit : str
         Name and unit of the quantity.
     sessions : tuple of int
-        Indices of the sessions in the history, from 0.
+        Indices of the sessions in the history, from 0. Sessions with the quantity in another unit than the
+        latest session are missing.
     day : (n,) float
         Time of each session in days since 1970.
     values : tuple of Value
@@ -413,9 +414,11 @@ def history_of(serial: str, records: Sequence[SessionRecord]) -> History:
         ]
         if not stated:
             continue
-        numbers, shown, values = zip(*stated, strict=True)
+        # Sessions in counts and sessions in mg have no common line: the unit of the latest one is used.
+        unit = stated[-1][2].unit
+        numbers, shown, values = zip(*(one for one in stated if one[2].unit == unit), strict=True)
         day = np.array([day_of(record.when or "") for record in shown])
-        track = Track(name, values[0].unit, numbers, day, values)
+        track = Track(name, unit, numbers, day, values)
         if name != ANGLE and len(values) > 1:
             u = own_u(shown, name)
             drift = drift_of(day, track.value, u, track.unit)
@@ -498,8 +501,7 @@ def drift_sentences(track: Track) -> list[str]:
     if drift is None:
         return []
     said = "drifts" if track.drifts else "no drift shown"
-    rate = format_uncertain(drift.slope.value, drift.slope.U, drift.slope.unit)
-    lines = [f"{said}: {rate} (U, 95 %), {format_p(drift.p_value)}"]
+    lines = [f"{said}: {drift.slope} (U, 95 %), {format_p(drift.p_value)}"]
     if drift.birge_p < DRIFTING:
         lines.append(
             f"sessions scatter by more than their u: {drift.between:.2g} between sessions "
