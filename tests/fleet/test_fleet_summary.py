@@ -11,8 +11,8 @@ import pytest
 from scipy.stats import binom, fisher_exact
 
 from adis_gonio.base.uncertainty import OUTLYING, wilson
-from adis_gonio.fleet.fleet_pages import build_page
-from adis_gonio.fleet.fleet_summary import by_share, summarise
+from adis_gonio.fleet.fleet_pages import build_page, fleet_sections
+from adis_gonio.fleet.fleet_summary import by_rank, by_share, robust_z, summarise
 from adis_gonio.fleet.session_record import COLUMNS, SessionRecord, write_parquet
 from fleet.sessions import quiet_rows, row
 
@@ -77,9 +77,50 @@ def test_a_stage_an_operator_and_a_unit_that_are_odd_are_named_and_nobody_else(
     stage = next(one for one in summary.outlying if one.kind == "stage")
     assert stage.value == 1.0
     assert stage.others == pytest.approx(0.2, abs=0.1)
-    assert all(
-        one.adjusted_p == pytest.approx(min(1, one.p_value * summary.tests)) for one in summary.outlying
-    )
+    for one in summary.outlying:
+        assert one.adjusted_p == pytest.approx(one.p_value * summary.tests)
+        assert one.adjusted_p < OUTLYING
+
+
+def test_the_table_of_outlying_groups_has_shares_in_percent_and_angles_in_degrees(rng):
+    rows = quiet_rows(rng, 60)
+    for one in rows:
+        if one["stage"] == "stage 2":
+            one["effects"] = sorted({*one["effects"], "eccentricity"})
+    rows[17]["angle"] = 7.5
+    median = np.median([one["angle"] for one in rows])
+    sections = {section.title: section for section in fleet_sections(summarise(rows), figures=False)}
+    shown = {tuple(texts[:2]): texts[2:4] for texts in sections["Outlying groups"].tables[0].rows}
+    assert shown["unit SN17", "angle error, rms"] == ["7.50°", f"{median:.4f}°"]
+    here, others = shown["stage stage 2", "effect eccentricity"]
+    assert here == ">\N{NO-BREAK SPACE}99.9\N{NO-BREAK SPACE}%"
+    assert others.endswith("%")
+
+
+@pytest.mark.parametrize(
+    ("stages", "tests"),
+    [("aabb", 0), ("abcde", 5), ("aabbbb", 6), ("aaabbb", 6 + 2), ("aaabb", 5)],
+)
+def test_five_sensors_or_three_on_a_stage_and_three_elsewhere_can_be_compared(stages, tests):
+    rows = [row(k, serial=f"SN{k}", stage=stage, bias_x=float(k)) for k, stage in enumerate(stages)]
+    assert summarise(rows).tests == tests
+
+
+def test_of_two_groups_the_smaller_is_the_odd_one_and_others_are_compared_without_it():
+    values, unit = np.arange(60.0), np.arange(60)
+    two = by_rank("stage", "bias_x", values, (unit >= 40).astype(int), unit).find(0.01)
+    assert [(one.code, one.n, one.value, one.others) for one in two] == [(1, 20, 49.5, 19.5)]
+    two = by_rank("stage", "bias_x", values, (unit < 40).astype(int), unit).find(0.01)
+    assert [one.code for one in two] == [0]
+    # One stage has the largest values, one the smallest, four have the rest.
+    stage = np.r_[np.full(8, 5), np.arange(60) % 4, np.full(12, 4)]
+    both = by_rank("stage", "bias_x", np.arange(80.0), stage, np.arange(80)).find(0.001)
+    assert [(one.code, one.value, one.others) for one in both] == [(4, 73.5, 33.5), (5, 3.5, 37.5)]
+
+
+def test_equal_sensors_without_u_do_not_differ():
+    z, middle = robust_z(np.full(6, 2.0), np.zeros(6))
+    assert (z.tolist(), middle) == ([0.0] * 6, 2.0)
 
 
 def test_many_sessions_of_one_unit_are_no_many_witnesses_against_a_stage(rng):
@@ -94,6 +135,14 @@ def test_a_share_is_judged_as_by_fishers_exact_test():
     group = np.r_[np.zeros(8), np.ones(44)].astype(int)
     test = by_share("stage", "x", shown, group, np.arange(52)).find(1.0)[0]
     assert test.p_value == pytest.approx(fisher_exact([[5, 3], [4, 40]], "greater").pvalue)
+
+
+def test_a_sensor_has_an_effect_if_half_of_its_sessions_show_it():
+    shown, unit = np.tile([True, False], 10), np.repeat(np.arange(10), 2)
+    stage = (unit >= 5).astype(int)
+    shown[stage == 1] = False
+    (test,) = by_share("stage", "x", shown, stage, unit).find(0.01)
+    assert (test.code, test.value, test.others, test.n) == (0, 1.0, 0.0, 5)
 
 
 def test_the_order_of_rows_changes_nothing(rng):

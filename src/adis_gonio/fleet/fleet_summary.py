@@ -24,9 +24,7 @@ from scipy.stats import hypergeom, rankdata
 from adis_gonio.base import __version__
 from adis_gonio.base.arrays import MAD_TO_SD, Floats, robust_sd
 from adis_gonio.base.jsonable import HIDDEN, JsonRecord, json_object
-from adis_gonio.base.numbers import (
-    counted,
-)
+from adis_gonio.base.numbers import counted
 from adis_gonio.base.uncertainty import OUTLYING, wilson
 from adis_gonio.fleet.session_record import ANGLE, QUANTITIES, Row
 
@@ -231,12 +229,8 @@ def robust_z(values: Floats, u: Floats) -> tuple[Floats, float]:
     # τ is at most the robust scatter without any u.
     most = robust_sd(values)
     least = 1e-6 * most
-    if most == 0.0:
-        tau = 0.0
-    elif unusual(least) <= 0:
-        tau = least
-    else:
-        tau = float(brentq(unusual, least, 1.001 * most))
+    explained = most == 0.0 or unusual(least) <= 0
+    tau = least if explained else float(brentq(unusual, least, 1.001 * most))
     scale = np.sqrt(tau**2 + u**2)
     return np.divide(values - centre, scale, out=np.zeros_like(values), where=scale > 0), centre
 
@@ -525,7 +519,7 @@ def _named(test: Outlying, tests: int, name: str) -> Outlying:
     if test.quantity == ANGLE:  # compared by its logarithm
         test = replace(test, value=math.exp(test.value), others=math.exp(test.others))
     unit = QUANTITIES.get(test.quantity, "1")  # a share has no unit
-    return replace(test, name=name, unit=unit, adjusted_p=min(1.0, tests * test.p_value))
+    return replace(test, name=name, unit=unit, adjusted_p=tests * test.p_value)
 
 
 def headline(summary: Summary) -> str:
