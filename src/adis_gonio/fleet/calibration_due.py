@@ -272,8 +272,7 @@ def _staircase(history: History, limits: Rules, stairs: tuple[Stair, ...]) -> Ru
         "shorter": f"fails the tolerance of {limits.tolerance.limit_deg:g}°, the interval shrank to",
         "early": f"{end.verdict}, but too early to lengthen the interval of",
     }[end.response]
-    elapsed, error = f"{end.elapsed_days:.0f} d", f"{end.error_deg:.3g}°"
-    off = f"after {elapsed} the error of the previous calibration was up to {error}"
+    off = f"after {end.elapsed_days:.0f} d the previous calibration was off by up to {end.error_deg:.3g}°"
     return Rule("staircase", date, f"{off}: {response} {interval:.0f} d", assumes)
 
 
@@ -332,10 +331,9 @@ def _control_chart(history: History, limits: Rules) -> Rule:
             f"the error conforms to {limit} for {LONGEST_DAYS / YEAR_DAYS:.0f} years, the longest interval"
         )
         return Rule(method, date_of(last + LONGEST_DAYS), why, assumes)
-    slopes = {name: drift.slope for name, drift in drifts.items()}
     drifts_text = ", ".join(
         f"{NAMES.get(name, name)} {format_uncertain(one.value, one.U, one.unit, sign=True)}"
-        for name, one in slopes.items()
+        for name, one in ((name, drift.slope) for name, drift in drifts.items())
     )
     why = f"the error conforms to {limit} until {good} d after the last calibration, by {drifts_text}"
     return Rule(method, date_of(last + good), why, assumes)

@@ -122,10 +122,9 @@ def control_chart(value: Floats, u: Floats) -> ControlChart:
             dof[k] = _MOVING_RANGE_DOF * (len(value) - 2) * (variance[k] / spread) ** 2
     t = (value - expected) / sigma
     z = as_normal(t, dof)
-    up, down = cusum(z[1:])
+    up, down = np.insert(cusum(z[1:]), 0, 0.0, axis=1)
     limit = sigma * -stdtrit(dof, ndtr(-SHEWHART))
     low, high = expected - limit, expected + limit
-    up, down = np.concatenate([[0.0], up]), np.concatenate([[0.0], down])
     between = between_neighbours(value, u)
     chart = ControlChart(expected, low, high, z, up, down, between)
     if chart.signal is None:
