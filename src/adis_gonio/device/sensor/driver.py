@@ -475,11 +475,9 @@ class Adis16354(Closing):
         have = 0
         size = min(count, block_scans)
         with self.stream(names, block_scans=size, leave_registers=True, data_ready=data_ready) as stream:
-            for block in stream:
-                blocks.append(block)
-                have += len(block)
-                if have >= count:
-                    break
+            while have < count:
+                blocks.append(next(stream))
+                have += len(blocks[-1])
         return join(blocks).first(count)
 
     def scan(self, names: Sequence[str | Register] = DEFAULT_SCAN) -> dict[str, float]:

@@ -398,11 +398,10 @@ class StreamedScans(ScanStream):
         dropped = len(new) - int(new.sum())
         self._judged = np.append(self._judged, new)[-JUDGED_SCANS:]
         if len(self._judged) == JUDGED_SCANS and self._judged.mean() < FRESH_SHARE:
-            old = int(JUDGED_SCANS - self._judged.sum())
             raise ChipError(
-                f"{old} of {JUDGED_SCANS} scans at data-ready edges found no new data (ND) in a register:"
-                " the edges are not the chip's updates; check the line's wire and MSC_CTRL[2:0]"
-                " (docs/hardware.md)"
+                f"{JUDGED_SCANS - self._judged.sum()} of {JUDGED_SCANS} scans at data-ready edges found no"
+                " new data (ND) in a register: the edges are not the chip's updates; check the line's wire"
+                " and MSC_CTRL[2:0] (docs/hardware.md)"
             )
         return replace(self._block(block.words[new], block.time_s[new], block.lost), dropped=dropped)
 
