@@ -7,8 +7,10 @@ import warnings
 from dataclasses import replace
 from datetime import date
 
+import numpy as np
 import pytest
 
+from adis_gonio import Calibration, fit, load_session
 from adis_gonio.base.conformity import Tolerance
 from adis_gonio.base.errors import FitError
 from adis_gonio.calibrate import NotCorrected
@@ -77,6 +79,40 @@ def test_few_degrees_of_freedom_widen_the_interval_by_student_s_quantile():
     assert real["coverageFactor"] == "2.7764"  # Student's table, 4 degrees of freedom, 95 %
     assert float(real["uncertainty"]) == pytest.approx(2.7764e-4, rel=1e-4)
     assert real["distribution"] == "t"
+
+
+def test_numbers_and_dates_are_those_of_a_fit_with_few_readings_over_midnight(tmp_path):
+    lines = [
+        "# sensor: generic",
+        "# accel_unit: mg",
+        "# fixture_sigma_deg: 0.02",
+        "time_s,position,angle_deg,ax,ay",
+    ]
+    noise = np.random.default_rng(3).normal(0, 0.3, (8, 2))
+    for k, (x, y) in enumerate(noise):
+        psi = np.radians(2.0 - 45 * k)
+        reading = f"{1004 * np.cos(psi) + 7 + x:.4f},{998 * np.sin(psi) - 4 + y:.4f}"
+        clock = "2024-05-31 23:59" if k < 4 else "2024-06-01 00:00"
+        lines.append(f"{clock}:0{k}Z,{k},{45 * k},{reading}")
+    path = tmp_path / "few.csv"
+    path.write_text("\n".join(lines) + "\n")
+    result = fit(load_session(path))
+    made = result.calibration()
+    made.save(tmp_path / "few.json")
+    for own in (made, Calibration.load(tmp_path / "few.json")):
+        root = judge(certificate_text(own))
+        assert root.find(f".//{DCC}beginPerformanceDate").text == "2024-05-31"
+        assert root.find(f".//{DCC}endPerformanceDate").text == "2024-06-01"
+        found = quantities(root)
+        for name, value in result.parameters.items():
+            factor = 9.80665e-3 if value.unit == "mg" else 1
+            assert value.k > 2.05, name  # Student's quantile: few degrees of freedom
+            assert float(found[name]["uncertainty"]) == pytest.approx(factor * value.U, rel=1e-6), name
+            assert float(found[name]["coverageFactor"]) == pytest.approx(value.k, abs=1e-4), name
+        # The degrees of freedom of an angle by the parameters alone are at least those of one of them.
+        most = max(value.k for value in result.parameters.values())
+        assert float(root.find(f".//{SI}coverageFactorXMLList").text) == pytest.approx(most, abs=1e-4)
+        assert root.find(f".//{SI}distributionXMLList").text == "t"
 
 
 def test_what_nobody_stated_is_not_invented():

@@ -27,6 +27,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from decimal import ROUND_CEILING, Context
 from functools import cached_property
 from typing import Literal, get_args
 
@@ -35,7 +36,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import INLINE, JsonRecord, key
-from adis_gonio.base.numbers import format_number, format_percent, with_unit
+from adis_gonio.base.numbers import format_number, format_percent
 from adis_gonio.base.uncertainty import coverage_factor
 
 DecisionRule = Literal["guarded", "simple", "shared"]
@@ -220,11 +221,11 @@ class Conformity(JsonRecord):
     @property
     def reason(self) -> str:
         """Text of one line: the risk of a wrong statement, and the smallest tolerance that would pass."""
-        error = with_unit(format_number(self.bound_deg, 2), "deg")
+        least = format_number(float(Context(2, ROUND_CEILING).create_decimal(self.bound_deg)), 2)
         accept = f"risk of a false accept {format_percent(self.false_accept)}"
         reject = f"risk of a false reject {format_percent(self.false_reject)}"
         risks = {"pass": accept, "fail": reject}.get(self.verdict, f"{accept}, {reject}")
-        return f"{risks}; ±{error} would just pass"
+        return f"{risks}; ±{least}° would just pass"
 
 
 class Statement(JsonRecord):

@@ -334,7 +334,7 @@ def checked_offsets(offsets_lsb: Sequence[int]) -> tuple[int, int, int]:
 _PASSES = 60
 _SETTLED_MG = 1e-9
 
-_SOURCE = ("title", *METADATA, "source", "sha256", "recorded_utc", "software")
+_SOURCE = ("title", *METADATA, "source", "sha256", "recorded_utc", "ended_utc", "software")
 
 CURVE_PLACES = 72
 """Number of angles around the turn at which the error of the angle is computed; it has few harmonics of the
@@ -388,8 +388,7 @@ class AngleReading:
             u += f" at {self.assumed_c:.1f} °C, give temperature_c for another"
         if np.ndim(self.angle_deg) == 0:
             return f"AngleReading({float(self.angle_deg):.4f}°, u {u})"
-        n = len(self.angle_deg)
-        return f"AngleReading({counted(n, 'angle')}, u up to {u})"
+        return f"AngleReading({counted(len(self.angle_deg), 'angle')}, u up to {u})"
 
 
 class Calibration(Coefficients, eq=False, kw_only=True):
@@ -408,12 +407,15 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         Rough scale of each axis for readings in counts; None for readings in mg.
     gyro : GyroCalibration or None
         Calibration of the gyros; None if the session gives none.
+    ratio_dof : float or None
+        Effective degrees of freedom of u of ΔK; None if the result does not state them.
     """
 
     provenance: Provenance
     effects: tuple[EffectTerm, ...] = ()
     counts_per_mg: tuple[float, ...] | None = None
     gyro: GyroCalibration | None = None
+    ratio_dof: float | None = None
     schema: ClassVar[str] = "adis-gonio/calibration"
 
     # -- description --------------------------------------------------------------------------------
@@ -446,8 +448,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
     def __repr__(self) -> str:
         space = "in the plane xy" if self.planar else "in space"
         effects = "".join(f" + {term.effect.name}" for term in self.effects)
-        first = [self.delta_k, *(self[name] for name in ("delta_phi", "skew_xy") if name in self)]
-        lead = ", ".join(str(one) for one in first if one is not None)
+        lead = ", ".join(str(one) for one in self.listed if one.name in ("delta_k", "delta_phi", "skew_xy"))
         return f"Calibration({self.provenance.sensor} {space}, {self.method}{effects}, {lead})"
 
     @property
@@ -465,7 +466,12 @@ class Calibration(Coefficients, eq=False, kw_only=True):
 
         value, variance = self.with_variance(ratio)
         u = None if self.covariance is None else math.sqrt(variance)
-        return Coefficient("delta_k", float(value), u, "1")
+        return Coefficient("delta_k", float(value), u, "1", self.ratio_dof)
+
+    @property
+    def listed(self) -> tuple[Coefficient, ...]:
+        """All parameters for a list; in the plane ΔK is the first."""
+        return (*((self.delta_k,) if self.delta_k else ()), *self.parameters)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the JSON document of the calibration, in the format of `schema/calibration-1.json`."""

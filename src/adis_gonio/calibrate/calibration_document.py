@@ -82,15 +82,16 @@ _BIASES = ("bias_x", "bias_y", "bias_z")
 _LARGEST_SKEW_DEG = 45.0
 _VALUE = number(-1e15, 1e15)
 _TEXTS = list_of(text, 0, 10_000)
+_COEFFICIENTS = mapping_of(
+    fields(
+        {"value": _VALUE, "u": nullable(number(0.0, 1e15)), "unit": text},
+        {"dof": nullable(number(0.1, 1e300))},
+        others=anything,
+    )
+)
 _BODY = {
     "method": text,
-    "parameters": mapping_of(
-        fields(
-            {"value": _VALUE, "u": nullable(number(0.0, 1e15)), "unit": text},
-            {"dof": nullable(number(0.1, 1e300))},
-            others=anything,
-        )
-    ),
+    "parameters": _COEFFICIENTS,
     "covariance": nullable(
         fields(
             {"names": _TEXTS, "matrix": list_of(list_of(number(-1e30, 1e30), 0, 10_000), 0, 10_000)},
@@ -122,6 +123,7 @@ DOCUMENT = fields(
         "sensor": choice(*SENSORS),
         "plane": choice("xy", "none"),
         "unit": choice("mg", "counts"),
+        "derived": _COEFFICIENTS,
         "counts_per_mg": nullable(list_of(_VALUE, 2, 3)),
         "gravity_mps2": number(1e-6, 1e6),
         "effects": list_of(_EFFECT, 0, 10_000),
@@ -159,6 +161,7 @@ def _read(document: Mapping[str, Any]) -> Calibration:
         for one in document["effects"]
     )
     counts_per_mg = None if counts is None else tuple(map(float, counts))
+    shared["ratio_dof"] = document["derived"].get("delta_k", {}).get("dof")
     return _checked(Calibration(provenance=where, effects=effects, counts_per_mg=counts_per_mg, **shared))
 
 

@@ -513,7 +513,7 @@ def calibration_as_recorded(result: FitResult, *, nominal: bool = False) -> Cali
     if where.plane == "xy" and "scale_x" not in estimates and "delta_k" in estimates:
         # Only the ratio of the gains is known, which is enough for an angle: the gain of Y is set to 1.
         ratio = estimates["delta_k"]
-        estimates["scale_x"] = Value(1 + ratio.value, ratio.u, "1")
+        estimates["scale_x"] = replace(ratio, value=1 + ratio.value)
     names = [name for name in names_of(model) if name in estimates]
     given = ["delta_k" if name not in result else name for name in names]
     rows = [result.names.index(name) for name in given]
@@ -534,6 +534,7 @@ def calibration_as_recorded(result: FitResult, *, nominal: bool = False) -> Cali
         covariance=matrix,
         assumed=assumed,
         counts_per_mg=counts,
+        ratio_dof=getattr(estimates.get("delta_k"), "dof", None),
     )
 
 

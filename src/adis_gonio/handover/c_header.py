@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import json_text
-from adis_gonio.calibrate.calibration import Calibration, Coefficient
+from adis_gonio.calibrate.calibration import Calibration
 from adis_gonio.calibrate.gyro_calibration import GYRO_OFFSET_DPS, GyroCalibration
 from adis_gonio.handover import fixed_point
 from adis_gonio.handover.fixed_point import ONE, Monomial, Polynomial, Q, Scaled
@@ -303,11 +303,8 @@ def _origin(calibration: Calibration) -> list[str]:
 
 
 def _coefficient_lines(calibration: Calibration) -> list[str]:
-    ratio, gyro = calibration.delta_k, calibration.gyro
-    every: list[Coefficient] = [*([ratio] if ratio else []), *calibration.parameters]
-    every += [] if gyro is None else gyro.parameters
-    rows = []
-    for one in every:
+    gyro, rows = calibration.gyro, []
+    for one in (*calibration.listed, *(() if gyro is None else gyro.parameters)):
         u = "not known" if one.u is None else f"{one.u:.2g}"
         unit = one.unit.replace("dps", "deg/s")
         rows.append(_comment(f"{one.name:20} {one.value:<18.9g} {unit:13} {u}"))

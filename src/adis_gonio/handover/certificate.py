@@ -253,7 +253,7 @@ def _administrative(parent: ET.Element, calibration: Calibration, issued: date |
         ("mandatoryLangCodeISO639_1", "en"),
         ("uniqueIdentifier", f"adis-gonio-{where.sha256[:32]}-{calibration.method}"),
         ("beginPerformanceDate", day),
-        ("endPerformanceDate", day),
+        ("endPerformanceDate", where.ended_utc[:10] or day),
         ("performanceLocation", "other"),
     ):
         _add(core, name, text)
@@ -329,16 +329,10 @@ def _results(parent: ET.Element, calibration: Calibration) -> None:
     if where.supply_v is not None:
         _condition(conditions, "Supply voltage, mean", where.supply_v.mean, r"\volt")
     results = _add(parent, "results")
-    data = _add(_named(results, "result", "Parameters"), "data")
-    ratio = calibration.delta_k
-    for one in (*([ratio] if ratio else []), *calibration.parameters):
-        quantity = _named(data, "quantity", _label(one.name))
-        _real(quantity, one)
+    _parameters(results, "Parameters", calibration.listed)
     _turn(results, calibration)
     if calibration.gyro is not None:
-        data = _add(_named(results, "result", "Parameters of the gyros"), "data")
-        for one in calibration.gyro.parameters:
-            _real(_named(data, "quantity", _label(one.name)), one)
+        _parameters(results, "Parameters of the gyros", calibration.gyro.parameters)
 
 
 def _condition(parent: ET.Element, name: str, value: float, unit: str) -> None:
@@ -355,22 +349,28 @@ def _label(name: str) -> str:
     return f"{words} ({name})"
 
 
-def _real(parent: ET.Element, one: Coefficient) -> None:
-    if one.unit not in SI_UNITS:
-        raise FitError(f"{one.name} is in {one.unit}: no SI unit for the certificate is known")
-    unit, factor = SI_UNITS[one.unit]
-    real = _add(parent, "real", space=SI)
-    _add(real, "value", repr(one.value * factor), SI)
-    _add(real, "unit", unit, SI)
-    if one.u is None:
-        return
-    dof = math.inf if one.dof is None else one.dof
-    k = coverage_factor(dof)
-    expanded = _add(real, "expandedUnc", space=SI)
-    _add(expanded, "uncertainty", repr(k * one.u * abs(factor)), SI)
-    _add(expanded, "coverageFactor", f"{k:.4f}", SI)
-    _add(expanded, "coverageProbability", f"{PROBABILITY}", SI)
-    _add(expanded, "distribution", "normal" if math.isinf(dof) else "t", SI)
+def _parameters(parent: ET.Element, title: str, parameters: Sequence[Coefficient]) -> None:
+    """Add a result with this title to `parent`: the parameters in SI units."""
+    data = _add(_named(parent, "result", title), "data")
+    for one in parameters:
+        if one.unit not in SI_UNITS:
+            raise FitError(f"{one.name} is in {one.unit}: no SI unit for the certificate is known")
+        unit, factor = SI_UNITS[one.unit]
+        real = _add(_named(data, "quantity", _label(one.name)), "real", space=SI)
+        _add(real, "value", repr(one.value * factor), SI)
+        _add(real, "unit", unit, SI)
+        if one.u is not None:
+            dof = math.inf if one.dof is None else one.dof
+            _expanded(real, [coverage_factor(dof) * one.u * abs(factor)], dof)
+
+
+def _expanded(parent: ET.Element, sizes: Sequence[float], dof: float, kind: str = "") -> None:
+    """Add expanded uncertainties to `parent`. `kind` ends the names of all elements."""
+    expanded = _add(parent, f"expandedUnc{kind}", space=SI)
+    _add(expanded, f"uncertainty{kind}", _spaced(sizes), SI)
+    _add(expanded, f"coverageFactor{kind}", f"{coverage_factor(dof):.4f}", SI)
+    _add(expanded, f"coverageProbability{kind}", f"{PROBABILITY}", SI)
+    _add(expanded, f"distribution{kind}", "normal" if math.isinf(dof) else "t", SI)
 
 
 def _turn(parent: ET.Element, calibration: Calibration) -> None:
@@ -381,7 +381,7 @@ def _turn(parent: ET.Element, calibration: Calibration) -> None:
     """
     if calibration.covariance is None:
         return
-    u_deg = calibration.error_curves(stage=False)[1].u_deg[:: CURVE_PLACES // len(_TURN_DEG)]
+    curve = calibration.error_curves(stage=False)[1]
     data = _add(
         _named(parent, "result", "Angle of gravity in the plane of X and Y by the calibrated sensor"),
         "data",
@@ -389,12 +389,7 @@ def _turn(parent: ET.Element, calibration: Calibration) -> None:
     listed = _add(_named(data, "quantity", "Angle"), "realListXMLList", space=SI)
     _add(listed, "valueXMLList", _spaced(_TURN_DEG), SI)
     _add(listed, "unitXMLList", r"\degree", SI)
-    k = coverage_factor(math.inf)
-    expanded = _add(listed, "expandedUncXMLList", space=SI)
-    _add(expanded, "uncertaintyXMLList", _spaced([k * float(u) for u in u_deg]), SI)
-    _add(expanded, "coverageFactorXMLList", f"{k:.4f}", SI)
-    _add(expanded, "coverageProbabilityXMLList", f"{PROBABILITY}", SI)
-    _add(expanded, "distributionXMLList", "normal", SI)
+    _expanded(listed, curve.U_deg[:: CURVE_PLACES // len(_TURN_DEG)].tolist(), curve.dof, "XMLList")
 
 
 def _spaced(values: Sequence[float]) -> str:

@@ -64,8 +64,9 @@ class Provenance:
         Name of the file, without its folder.
     sha256 : str
         Digest of the session's data (`digest_of`), which does not depend on the kind of file.
-    recorded_utc : str
-        Begin of the session (ISO 8601); empty if the file does not state it.
+    recorded_utc, ended_utc : str
+        Begin of the session, and of its last dwell or sample (ISO 8601); empty if the file does not state
+        them.
     software : str
         Program that made the result.
     temperature_c, supply_v : Covered or None
@@ -95,6 +96,7 @@ class Provenance:
     source: str = ""
     sha256: str = ""
     recorded_utc: str = ""
+    ended_utc: str = ""
     software: str = ""
     temperature_c: Covered | None = None
     supply_v: Covered | None = None
@@ -123,6 +125,7 @@ def _provenance(session: Session) -> Provenance:
         source=PurePath(session.source).name,
         sha256=digest_of(session),
         recorded_utc=str(session.facts.get("started_utc") or ""),
+        ended_utc=str(session.facts.get("ended_utc") or ""),
         temperature_c=_coverage([dwell.temperature_c for dwell in session.dwells]),
         supply_v=_coverage([dwell.supply_v for dwell in session.dwells]),
         software=f"adis-gonio {__version__}",

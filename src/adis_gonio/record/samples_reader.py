@@ -22,7 +22,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -408,7 +408,9 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
     if table.began is not None:
         # A time without a zone is taken as UTC.
         utc = table.began.replace(tzinfo=table.began.tzinfo or UTC).astimezone(UTC)
-        settings["facts"] = settings.get("facts", {}) | {"started_utc": utc.isoformat()}
+        ended = utc + timedelta(seconds=float(table.series["time_s"][-1]))
+        instants = {"started_utc": utc.isoformat(), "ended_utc": ended.isoformat()}
+        settings["facts"] = settings.get("facts", {}) | instants
     if settings.get("plane") == "none" and table.series["accel"].shape[1] < 3:
         raise DataError(f"{path.name}: column 'az' is missing; plane 'none' needs ax, ay and az")
     recording: Dwell | None = _dwell(table, 0, slice(0, len(table)))

@@ -158,6 +158,7 @@ def read_session(path: str | Path) -> Session:
         joined = [join(view.blocks(attempt, "dwell")) for attempt in stored]
         facts = _facts(view) | {
             "complete": not pending,
+            "ended_utc": max(attempt.started_utc for attempt in stored),
             "dwells": [
                 {
                     "place": attempt.place,
