@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, fisher_exact
 
-from adis_gonio.base.uncertainty import OUTLYING, wilson
+from adis_gonio.base.uncertainty import OUTLYING
 from adis_gonio.fleet.fleet_pages import build_page, fleet_sections
 from adis_gonio.fleet.fleet_summary import by_rank, by_share, robust_z, summarise
 from adis_gonio.fleet.session_record import COLUMNS, SessionRecord, write_parquet
@@ -43,14 +43,6 @@ def test_sessions_on_one_stage_share_the_error_that_its_certificate_leaves(rng):
     """Only their own u counts in a comparison; on two stages the whole u does."""
     assert found(summarise(on_stages(rng, 40, "a"))) == {("unit", "SN7", "delta_phi")}
     assert not found(summarise(on_stages(rng, 40, "ab")))
-
-
-@pytest.mark.parametrize(("hits", "n"), [(0, 7), (1, 7), (7, 7), (37, 1000)])
-def test_the_interval_of_a_frequency_is_that_of_statsmodels(hits, n):
-    proportion = pytest.importorskip("statsmodels.stats.proportion")
-    assert wilson(hits, n) == pytest.approx(
-        proportion.proportion_confint(hits, n, method="wilson"), abs=1e-12
-    )
 
 
 def test_in_fleets_without_any_odd_one_hardly_ever_anyone_is_named(rng):

@@ -11,7 +11,7 @@ import pytest
 
 from adis_gonio import fit, trace
 from adis_gonio.base.conformity import Tolerance, state_conformity
-from adis_gonio.base.numbers import format_p, format_percent, format_uncertain, with_unit
+from adis_gonio.base.numbers import format_uncertain, with_unit
 from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.fitting.slips.session_positions import Named, PositionFinding
 from adis_gonio.handover.calibration_report import (
@@ -344,31 +344,6 @@ def test_groups_that_begin_alike_are_one_line(curved):
     assert confounded(many) == ["bias — or cubic, or asymmetry", "quadratic — or cubic"]
     explained = replace(many, reasons={"quadratic": "few angles"})
     assert confounded(explained) == ["bias — or cubic, or asymmetry", "quadratic — or cubic: few angles"]
-
-
-@pytest.mark.parametrize(
-    ("value", "u", "text"),
-    [
-        (3.23939, 0.0613, "3.239 ± 0.061"),
-        (-58.7495, 2.483, "−58.7 ± 2.5"),
-        (1234.5, 120.0, "1234 ± 120"),
-        (2.76e-6, 5.2e-7, "(2.76 ± 0.52)·10⁻⁶"),
-        (391.335, None, "391.3, u unknown"),
-        (391.335, 0.0, "391.3"),
-    ],
-)
-def test_numbers_have_two_digits_of_their_uncertainty(value, u, text):
-    assert format_uncertain(value, u).replace("\u00a0", " ") == text
-
-
-def test_units_and_probabilities_read_well():
-    assert with_unit("3.2 ± 0.1", "deg") == "(3.2 ± 0.1)°"
-    assert with_unit("3.2", "1") == "3.2"
-    assert [format_percent(f).replace("\u00a0", " ") for f in (1.0, 0.996, 0.54, 0.02, 0.0)] == [
-        "> 99.9 %", "99.6 %", "54 %", "2.0 %", "< 0.1 %",
-    ]  # fmt: skip
-    assert format_p(0.0).replace("\u00a0", " ") == "p < 10⁻¹²"
-    assert format_p(0.0113).replace("\u00a0", " ") == "p = 0.011"
 
 
 def certificate_of(page):
