@@ -21,7 +21,6 @@ from adis_gonio.bench.events import (
     Watching,
     Withdrawn,
 )
-from adis_gonio.bench.guards import judge_pose
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.fitting import fit
@@ -464,14 +463,6 @@ def test_a_pose_that_is_not_new_and_one_the_other_way_up_are_told(sensor, path):
             runner.answer("retake")
     assert kinds == [(2, "not_moved"), (4, "upside_down")]
     assert event.complete
-
-
-def test_a_pose_that_was_not_moved_is_told_even_where_another_way_up_was_asked():
-    asked, before = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.5, -0.8])
-    mean = np.array([2.0, 500.0, -850.0])
-    assert judge_pose(mean, asked, None, None).kind == "upside_down"
-    guard = judge_pose(mean, asked, mean + 0.1, before)
-    assert (guard.kind, guard.default, guard.spoils) == ("not_moved", "retake", True)
 
 
 # -- nobody there ----------------------------------------------------------------------------------------
