@@ -182,7 +182,7 @@ def test_writing_twice_writes_once_and_saving_later_writes_the_flash_alone(path)
     assert bus.chip.memory["ENDURANCE"] == 1
 
 
-def test_the_counter_of_flash_writes_may_wrap(path):
+def test_the_last_write_that_the_flash_is_made_for_is_done(path):
     bus = new_bus(3, endurance=9_999)
     assert wrote(bus, path, SAVE).endurance_after == 10_000
 
