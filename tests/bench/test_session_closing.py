@@ -9,12 +9,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from adis_gonio.bench.advisor import AT_ONCE, Advice, TraceAdvisor
+from adis_gonio.bench.advisor import Advice, TraceAdvisor
 from adis_gonio.bench.events import (
     Advised,
     DwellDone,
@@ -31,7 +30,6 @@ from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.plans import Plan, Position, plan
 from adis_gonio.record.session_reader import read_session
 from adis_gonio.record.source import Settings
-from adis_gonio.tracing.trace_result import NextDwell
 
 SHORT = Settings(dwell_s=1.0, settle_s=0.1)
 LONGER = Settings(dwell_s=2.0)
@@ -260,56 +258,6 @@ def test_attitudes_in_space_are_asked_for_too(path):
 
 
 # -- the trace as advisor -------------------------------------------------------------------------------
-
-
-def measurement(angle: float, **changes: object) -> NextDwell:
-    made = NextDwell(angle, None, 1, 0.0, 5.0, 0.5, "decide", (("quadratic",), ("asymmetry",)), "measure")
-    return replace(made, **changes)
-
-
-def advised(monkeypatch, measurements, *, adequate=True, tested=True, visited=0, most=24, reach=None):
-    error = SimpleNamespace(chi2_per_dof=1.0 if tested else None, as_dict=lambda: {})
-    result = SimpleNamespace(
-        adequate=adequate and tested,
-        tested=tested,
-        after=error,
-        found=(),
-        steps=(),
-        confounded=(),
-        measurements=measurements,
-    )
-    monkeypatch.setattr(TRACE, "trace", lambda session: result)
-    return TraceAdvisor(most).advise(Session(()), visited, reach or (lambda position: True))
-
-
-def test_it_asks_for_a_few_at_once_and_never_more_than_the_limit(monkeypatch):
-    many = tuple(measurement(15.0 * k) for k in range(7))
-    assert len(advised(monkeypatch, many).positions) == AT_ONCE
-    assert len(advised(monkeypatch, many, visited=22).positions) == 2
-    said = advised(monkeypatch, many, visited=24)
-    assert said.positions == ()
-    assert said.ended == "the limit of further positions is reached (24 were added); not all is decided"
-
-
-def test_a_model_that_is_adequate_is_left_alone_with_what_nothing_asks_for(monkeypatch):
-    only_unseen = (measurement(45.0, purpose="cover"),)
-    said = advised(monkeypatch, only_unseen)
-    assert said.positions == ()
-    assert said.ended == "the model is adequate, and no further position would decide anything more"
-    assert advised(monkeypatch, only_unseen, tested=False).positions == (Position(45.0),)
-
-
-def test_a_model_that_is_not_adequate_and_has_no_advice_left_says_so(monkeypatch):
-    assert advised(monkeypatch, (), adequate=False).ended.startswith("the advice is exhausted")
-
-
-def test_what_cannot_be_reached_ends_the_loop_without_calling_the_model_adequate(monkeypatch):
-    late = (measurement(45.0, wait_s=600.0),)
-    said = advised(monkeypatch, late, reach=lambda position: position.wait_s == 0.0)
-    assert said.positions == ()
-    assert said.ended.startswith("the advice is exhausted: no position that can be reached")
-    (asked,) = advised(monkeypatch, late).positions
-    assert asked.wait_s == 600.0
 
 
 def test_a_session_that_cannot_be_traced_ends_the_loop_in_one_line(path):
