@@ -19,6 +19,7 @@ from adis_gonio.base.errors import FitError
 from adis_gonio.base.jsonable import JsonRecord
 from adis_gonio.base.numbers import NAMES, count_decimals, format_fixed, format_unit
 from adis_gonio.base.uncertainty import COVERED, Value
+from adis_gonio.fitting.determination import TYPICAL, natural_units
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.fit_result import FitResult, Origin, outputs_of
 from adis_gonio.fitting.methods import METHOD_TABLE
@@ -128,21 +129,24 @@ def monte_carlo(result: FitResult, trials: int, rng: np.random.Generator) -> Mon
         raise FitError("the noise of a reading is unknown: there are no distributions to propagate")
     values, failed = [], 0
     draw, refit = _drawing(made, result.sources, rng), METHOD_TABLE[result.method].refit
+    natural, found = natural_units(made.readings)[:, None], made.determination
+    # A fit does not move along undetermined directions: the errors along them are drawn here.
+    unseen = TYPICAL * natural * (natural[:, :0] if found is None else found.null)
     for _ in range(trials):
         try:
             fit = refit(made.noise.applied(draw()), made)
         except FitError:
             failed += 1
             continue
-        parameters = np.zeros(len(fit.values.base) + fit.data.axes)
-        parameters[: len(fit.values.parameters)] = fit.values.parameters
+        parameters = unseen @ rng.standard_normal(unseen.shape[1])
+        parameters[: len(fit.values.parameters)] += fit.values.parameters
         by_name = {output.name: output.value for output in outputs_of(fit.data, parameters)}
         values.append([by_name[name] for name in result.parameters])
     if len(values) < 2:
         raise FitError("no trial of the Monte Carlo propagation gave a result")
-    found = np.array(values)
+    drawn = np.array(values)
     kept = {
-        output.name: _propagated(result[output.name], found[:, k], result.sources, output.gradient)
+        output.name: _propagated(result[output.name], drawn[:, k], result.sources, output.gradient)
         for k, output in enumerate(result.outputs)
     }
     return MonteCarlo(result.method, len(values), failed, kept)
