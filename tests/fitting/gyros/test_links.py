@@ -587,9 +587,8 @@ def test_links_are_worked_out_once_a_session_and_anew_by_a_calibration(
         lambda rate: rate[:, [1, 0, 2]],
         lambda rate: rate * np.array([1, 1, -1]),
         lambda rate: 1.1 * rate,
-        lambda rate: np.clip(rate, -60, 60),
     ],
-    ids=["wrong sign", "axes swapped", "sign of Z", "gain 10 % off", "saturated unseen"],
+    ids=["wrong sign", "axes swapped", "sign of Z", "gain 10 % off"],
 )
 def test_false_gyros_leave_the_fit_of_gravity_alone_and_one_line(
     simulated: tuple[Session, World], change: object
@@ -600,6 +599,17 @@ def test_false_gyros_leave_the_fit_of_gravity_alone_and_one_line(
     assert result.links.used == 0
     assert [line for line in Answer.of(result).facts() if "not used" in line]
     assert list(result.parameters.items()) == list(alone.parameters.items())
+
+
+def test_gyros_that_are_clipped_within_their_range_are_seen_and_only_their_turns_left_out(
+    simulated: tuple[Session, World],
+) -> None:
+    session = simulated[0]
+    clipped = fit(_changed(session, lambda rate: np.clip(rate, -60, 60))).links
+    assert clipped is not None
+    faster = sum(bool(np.abs(turn.gyro).max() > 60) for turn in session.turns)
+    assert 0 < clipped.used == len(session.turns) - faster
+    assert all("beyond its range of ±60 °/s" in why for _, _, why in clipped.refused)
 
 
 def test_a_turn_with_lost_scans_and_one_beyond_the_range_are_left_out_with_the_reason(

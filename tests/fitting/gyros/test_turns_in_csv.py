@@ -111,6 +111,13 @@ def test_a_wrongly_declared_angle_is_refused_and_named(tmp_path: Path) -> None:
     assert "correct turned_deg" in line
 
 
+def test_swapped_axes_of_the_gyros_are_named_in_the_turns_about_them(tmp_path: Path) -> None:
+    path = write(tmp_path / "swapped.csv", table_turns(), header=HEADER.replace("gx,gy", "gy,gx"))
+    result = fit(path, part="gyro")
+    assert result.turns == 4
+    assert any("correct the order of the gyros' axes" in text for text in result.warnings)
+
+
 def test_without_declared_angles_the_advice_names_the_column(tmp_path: Path) -> None:
     rows = [",".join([*row.split(",")[:2], "", *row.split(",")[3:]]) for row in table_turns(seed=3)]
     result = fit(write(tmp_path / "silent.csv", rows), part="gyro")

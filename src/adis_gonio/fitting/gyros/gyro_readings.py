@@ -202,9 +202,10 @@ def gyro_dwells_of(session: Session) -> GyroDwells:
         (turn.time_s, scale * turn.gyro) for turn in session.turns if turn.gyro is not None and len(turn)
     ]
     range_dps = float(configuration.get("gyro_range_dps") or (300.0 if variant else math.inf))
-    if turns and math.isinf(range_dps):
+    if turns:
+        # Gyros may be clipped short of their range.
         ends = piles([rate for _, rate in turns], is_lively(rows, steps_of(rows)))
-        range_dps = min((abs(value) for _, value, _ in ends), default=math.inf)
+        range_dps = min((range_dps, *(abs(value) for _, value, _ in ends)))
     rests = [(dwell.time_s, scale * row) for dwell, row in zip(dwells, rows, strict=True)]
     sampling = turn_integration.Sampling(
         period_s=period,

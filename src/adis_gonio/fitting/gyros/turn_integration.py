@@ -603,6 +603,11 @@ def reference_as_declared(
     down = triad.axes.direction(steady)
     up = -down / np.linalg.norm(down)
     seen = float(up @ integral.turned_deg)
+    if np.linalg.norm(integral.turned_deg - seen * up) > 0.2 * max(abs(seen), LEAST_REFERENCE_DEG):
+        return (
+            "it was not turned about the vertical; leave it flat on the table, or correct the order of the"
+            " gyros' axes"
+        )
     angle = declared_deg + 360.0 * round((seen - declared_deg) / 360.0)
     if abs(angle) < LEAST_REFERENCE_DEG or abs(seen - angle) > min(
         FARTHEST_DEG, max(10.0, 0.1 * abs(angle))
@@ -614,8 +619,6 @@ def reference_as_declared(
             f"the gyro turned {seen:.0f}° about the vertical, which is {where}: begin and end at the marks,"
             " or correct turned_deg"
         )
-    if float(np.linalg.norm(integral.turned_deg - seen * up)) > 0.2 * abs(seen):
-        return "it was not turned about the vertical; leave it flat on the table"
     along = np.outer(up, up)
     across = np.eye(3) - along
     # Two marks per turn; a mark between consecutive turns counts in both.
