@@ -218,7 +218,7 @@ def test_what_could_not_be_seen_is_one_sentence():
         made(90.0, purpose="cover", separates=((), ("backlash", "cubic"))),
     ]
     assert sentences(unseen) == (
-        "measure at 45° and 90°: only then could backlash and cubic be seen, if there",
+        "measure at 45° and 90°: only then could backlash and cubic be seen, if present",
     )
 
 

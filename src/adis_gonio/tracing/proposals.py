@@ -628,7 +628,7 @@ def _sentence(group: Sequence[NextDwell]) -> str:
     what = join_words(places, comma="; " if any("," in words for words in places) else ", ")
     if first.purpose == "cover":
         names = list(dict.fromkeys(name for m in group for names in m.separates for name in names))
-        return f"measure at {what}: only then could {join_words(names)} be seen, if there"
+        return f"measure at {what}: only then could {join_words(names)} be seen, if present"
     strongest = max(m.separation for m in group)
     figure = f"more than {PLAIN:.0f}" if strongest > PLAIN else f"about {strongest:.{int(strongest < 1)}f}"
     apart = f"expected difference {figure} standard uncertainties"

@@ -296,6 +296,12 @@ def test_a_small_terminal_says_what_it_needs_and_the_session_goes_on():
     assert shown(ASKED, size=(70, 20), keys=["q", "q"])[2].told == ["stop"]
 
 
+def test_the_longest_time_of_a_turn_is_not_shown_as_its_length():
+    state = BenchState()
+    state.take(events.TurnProgress("turn", 1.2, 300.0, 983, 0, 45.0, 90.0, 1, 5))
+    assert screen_text.progress(state, 0) == "+45°, +90.0 °/s, time limit  1 of 300 s "
+
+
 def test_silence_is_told():
     def hush(app: bench_screen.BenchApp) -> None:
         app._news_s = time.monotonic() - 42

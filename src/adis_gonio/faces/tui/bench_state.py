@@ -225,7 +225,7 @@ class BenchState:
             case events.TurnProgress():
                 turn = "turn" if event.turns == 1 else f"turn {event.turn} of {event.turns}"
                 self.doing = {"rest": "at rest", "turn": turn, "after": "let rest"}[event.state]
-                motion = f"{signed(event.turned_deg, 0)}°, {signed(event.rate_dps, 1)} °/s"
+                motion = f"{signed(event.turned_deg, 0)}°, {signed(event.rate_dps, 1)} °/s, time limit"
                 self.span = Span(motion, event.elapsed_s, event.length_s)
             case events.Finished():
                 self.place, self.quiet = None, True
