@@ -269,8 +269,7 @@ def found_in(rest: Block, blocks: list[Block], sampling: Sampling) -> Integral |
 
     `rest` has the scans of the dwell before, `blocks` the scans of the turn.
     """
-    blocks = [block for block in blocks if len(block)]
-    scans = join(blocks)
+    scans = join([block for block in blocks if len(block)])
     rates, force = _rates_and_force(scans)
     zero, lay = (series.mean(axis=0) for series in _rates_and_force(rest))
     if not (np.diff(scans.time_s) > 0).all():

@@ -108,8 +108,7 @@ def offset_words(calibration: Calibration) -> tuple[OffsetWord, ...]:
             "(180° and 270°)"
         )
     lsb_mg = VARIANTS[where.sensor].accel_mg_per_lsb
-    biases = [calibration[name] for name in names]
-    return _words(biases, "ACCL_OFF", where.offsets_lsb, lsb_mg, "mg")
+    return _words([calibration[name] for name in names], "ACCL_OFF", where.offsets_lsb, lsb_mg, "mg")
 
 
 def gyro_offset_words(gyro: GyroCalibration) -> tuple[OffsetWord, ...]:

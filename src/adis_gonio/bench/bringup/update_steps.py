@@ -195,13 +195,12 @@ def check_data_ready(bench: BringupBench, found: StepResult) -> Ending:
                 raise NotMeasuredError(_NO_EDGE)
             if abs(edges - expected) > slack:
                 return Verdict.FAULT, _describe_rate(edges, expected, period)
-            bench.data_ready = True
         if not streams:
+            bench.data_ready = True
             return Verdict.OK, (
                 f"{edges} edges where {expected:.0f} updates were expected; which edge leads: not"
                 " measured, this bridge starts no scans at the edge"
             )
-        bench.data_ready = False
         _enable_data_ready(bench, before, first=True)
         first = _scan_at_edges(bench, period)
         _enable_data_ready(bench, before, first=False)
@@ -302,8 +301,7 @@ def _judge_edges(
             f"{100 * (1 - first.locked):.0f} % of the scans do not follow an update: the input picks up"
             " noise"
         )
-    missed = first.missed + second.missed
-    if missed:
+    if missed := first.missed + second.missed:
         return Verdict.FAULT, f"{missed} of {2 * _EDGE_SCANS + missed} edges were missed"
     bench.data_ready = True
     if first.usual > 0:

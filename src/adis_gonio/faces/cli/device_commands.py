@@ -305,11 +305,9 @@ def _show_registers(
             held = [str(field.of(quantity.number)), *[""] * (len(cells) - 1)]
             listed.append([f"  {field.name}", bits, *held, field.meaning])
     screen = console()
-    texts = {0, 1, len(head) - 1} | (set() if with_values else {3, 4})
-    print_table(screen, head, listed, texts)
-    if not with_values:
-        for letter, meaning in CONFIDENCES.items():
-            screen.print(f"evidence {letter}: {meaning}")
+    print_table(screen, head, listed, {0, 1, len(head) - 1} | (set() if with_values else {3, 4}))
+    for letter, meaning in () if with_values else CONFIDENCES.items():
+        screen.print(f"evidence {letter}: {meaning}")
 
 
 def _register_document(row: Register, quantity: Any) -> dict[str, Any]:
