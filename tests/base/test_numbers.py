@@ -90,6 +90,7 @@ def test_a_span_of_equal_texts_is_one_number():
         (391.335, None, "391.3, u unknown"),
         (391.335, math.nan, "391.3, u unknown"),
         (391.335, 0.0, "391.3"),
+        (391.335, 1e-11, "391.3"),  # rounding of the arithmetic
     ],
 )
 def test_numbers_have_two_digits_of_their_uncertainty(value, expanded, text):

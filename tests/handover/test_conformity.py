@@ -108,10 +108,20 @@ def test_the_verdicts_of_the_rules():
     assert verdicts == {"guarded": "undecided", "simple": "pass", "shared": "pass"}
     vague = at_one_angle(0.05, 0.02)  # U is 0.04°, more than a third of the tolerance
     assert Tolerance(0.1, "shared").decide(vague).verdict == "undecided"
+    vague_at_90 = ErrorCurve(np.array([0.0, 90.0]), np.array([0.03, 0.0]), np.diag([0.001, 0.02]))
+    assert Tolerance(0.1, "shared").decide(vague_at_90).verdict == "undecided"
     for rule in ("guarded", "simple", "shared"):
         assert Tolerance(0.1, rule).decide(at_one_angle(0.15, 0.01)).verdict == "fail"
         assert Tolerance(0.1, rule).decide(at_one_angle(0.02, 0.01)).verdict == "pass"
     assert Tolerance(0.1, risk=0.2).decide(near).verdict == "pass"  # the customer's own risk
+
+
+def test_the_figures_of_a_statement_are_its_risks_and_the_place_of_the_largest_error_with_u():
+    found = Tolerance(0.1).decide(at_one_angle(0.09, 0.01))
+    assert (found.false_accept, found.false_reject) == pytest.approx((norm.sf(1), norm.cdf(1)), rel=1e-6)
+    uneven = ErrorCurve(np.array([0.0, 90.0]), np.array([0.03, -0.025]), np.diag([1e-3, 0.02]))
+    found = Tolerance(0.1).decide(uneven)
+    assert (found.largest_deg, found.at_deg) == (0.03, 90.0)
 
 
 def test_an_error_that_is_known_exactly_is_compared_with_the_tolerance():
@@ -123,7 +133,8 @@ def test_an_error_that_is_known_exactly_is_compared_with_the_tolerance():
 
 @pytest.mark.parametrize(
     ("given", "text"),
-    [((0.0,), "tolerance is 0°"), ((math.nan,), "tolerance"), ((0.1, "other"), "rule is 'other'"),
+    [((0.0,), "tolerance is 0°"), ((180.0,), "tolerance is 180°"), ((math.nan,), "tolerance"),
+     ((0.1, "other"), "rule is 'other'"),
      ((0.1, "guarded", 0.0), "risk is 0 %"), ((0.1, "guarded", 0.6), "risk is 60 %")],
 )  # fmt: skip
 def test_a_tolerance_that_makes_no_sense_is_refused(given, text):

@@ -336,8 +336,16 @@ def test_proof_of_both_marks_is_refused_at_the_first_row_that_disagrees(tmp_path
     )
 
 
-def test_proof_far_down_the_file_counts(tmp_path):
-    undecided = ["1,234"] * 200_000
+def test_proof_at_the_beginning_of_the_file_counts_to_its_end(tmp_path, monkeypatch):
+    monkeypatch.setattr("adis_gonio.record.samples_header.CHUNK", 64)
+    assert "row 21: column 'ax': '2,5' is not a number in a file with decimal points" in refusal(
+        saved(tmp_path, numbers("1.5", *["7"] * 18, "2,5"))
+    )
+
+
+def test_proof_far_down_the_file_counts(tmp_path, monkeypatch):
+    monkeypatch.setattr("adis_gonio.record.samples_header.CHUNK", 1024)
+    undecided = ["1,234"] * 200
     session = load_session(saved(tmp_path, numbers(*undecided, "0,5")))
     assert session.dwells[0].accel[0, 0] == 1.234
 
