@@ -123,6 +123,16 @@ def damaged():
 
         return change
 
+    def without(name):
+        def change(document):
+            k = list(document["parameters"]).index(name)
+            del document["parameters"][name], document["covariance"]["names"][k]
+            for row in document["covariance"]["matrix"]:
+                del row[k]
+            del document["covariance"]["matrix"][k]
+
+        return change
+
     yield put("schema", value="other"), "is no calibration"
     yield put("version", value=2), "version 2, this program reads 1: update"
     yield lambda d: d.pop("parameters"), "lacks 'parameters'"
@@ -135,7 +145,13 @@ def damaged():
     yield put("offsets_lsb", value=[2**40, 0, 0]), "from -2048 to 2047"
     yield put("assumed", value=7), "assumed is 7"
     yield put("covariance", "matrix", 0, 0, value=-1.0), "variance is negative"
+    yield put("covariance", "matrix", 0, 1, value=1e-3), "is not symmetric"
     yield put("covariance", "matrix", value=[[1.0]]), "is no matrix"
+    yield lambda d: d["covariance"]["names"].reverse(), "differ in names: the order"
+    yield without("delta_phi"), "parameter delta_phi is missing"
+    yield put("counts_per_mg", value=[1.0, 1.0]), "counts_per_mg is needed with unit counts"
+    for gain in (0.0, 0.9e-6, 1.1e6):
+        yield put("parameters", "scale_x", "value", value=gain), "no gain of a sensor"
     yield put("plane", value="zz"), "plane is 'zz'"
     yield (
         put("effects", value=[{"effect": "nosuch", "axes": [], "choices": {}, "parameters": []}]),
