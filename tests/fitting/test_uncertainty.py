@@ -10,7 +10,7 @@ from scipy import stats
 
 import coverage_of_u as coverage
 from adis_gonio import fit
-from adis_gonio.base.uncertainty import coverage_factor, effective_dof, factor_over
+from adis_gonio.base.uncertainty import coverage_factor, effective_dof
 from adis_gonio.fitting.monte_carlo import monte_carlo
 from adis_gonio.fitting.uncertainty import GRAVITY, Source, Sources
 from adis_gonio.model.records import Dwell, Session
@@ -188,15 +188,6 @@ def test_a_further_readings_scatter_keeps_its_degrees_of_freedom_beside_unseen_e
     u, found = Sources((source,)).uncertainty(np.eye(1), np.eye(1))
     assert u == pytest.approx(math.hypot(1.0, 0.1, unseen))
     assert found == pytest.approx(effective_dof([(1.0 + 0.1**2, 2), (unseen**2, math.inf)]))
-
-
-def test_k_of_an_error_that_differs_from_place_to_place_covers_its_mixture():
-    rng = np.random.default_rng(5)
-    variances = np.array([0.0, 0.1, 1.0, 4.0])
-    k = factor_over(variances, math.inf)
-    errors = np.sqrt(variances)[:, None] * rng.standard_normal((4, 50000))
-    assert np.mean(np.abs(errors) <= k * math.sqrt(variances.mean())) == pytest.approx(0.95, abs=0.004)
-    assert factor_over(np.ones(5), 4.0) == pytest.approx(coverage_factor(4.0))
 
 
 @pytest.mark.parametrize("kind", ["stated", "unknown", "blind"])

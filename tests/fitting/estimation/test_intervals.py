@@ -59,7 +59,7 @@ def test_a_factor_that_is_given_stands_before_students():
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("dof", [3.0, 12.0, math.inf])
+@pytest.mark.parametrize("dof", [1.0, 3.0, 12.0, math.inf])
 def test_one_factor_for_places_of_unequal_variance_holds_95_per_cent_of_draws(dof):
     variances = np.array([0.1, 1.0, 1.0, 9.0])
     rng = np.random.default_rng(8)
