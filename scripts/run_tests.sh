@@ -35,6 +35,8 @@ types="$(mktemp)"
 .venv/bin/mypy >"$types" 2>&1 &
 checker=$!
 trap 'rm -rf "$types" ${in_memory:+"$in_memory"}; kill "$checker" 2>/dev/null || true' EXIT
+# In a fresh clone each worker would compile the tests, which takes longer than to import them: it is done once.
+[ -d tests/__pycache__ ] || .venv/bin/pytest --collect-only -qq ${selection[@]+"${selection[@]}"} "$@" >/dev/null 2>&1 || true
 # Some tests wait for programs and clocks, so half as many workers again as cores keep the cores busy.
 # A worker that has run its tests takes half of the tests that another one still has.
 status=0

@@ -20,9 +20,12 @@ gc.disable()
 
 
 def pytest_collection_finish() -> None:
-    """Leave the collected tests out of all later runs of the garbage collector."""
-    gc.collect()
+    """Leave the collected tests out of all later runs of the garbage collector, and have it run seldom.
+
+    With its own threshold of 700 objects it takes a tenth of the time of the tests.
+    """
     gc.freeze()
+    gc.set_threshold(20_000, 10, 10)
     gc.enable()
 
 
@@ -30,11 +33,14 @@ def pytest_collection_finish() -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark each test with its level, and run the levels with the longest tests first."""
     rank = {}
+    levels = {}
     for item in items:
-        if not item.path.is_relative_to(TESTS):
+        if item.path not in levels and item.path.is_relative_to(TESTS):
+            file = PurePosixPath(item.path.relative_to(TESTS).as_posix())
+            levels[item.path] = level_of(file), is_quick(file)
+        if item.path not in levels:
             continue
-        file = PurePosixPath(item.path.relative_to(TESTS).as_posix())
-        level, quick = level_of(file), is_quick(file)
+        level, quick = levels[item.path]
         item.add_marker(level)
         if level == "unit" and not quick:
             item.add_marker("slow")
