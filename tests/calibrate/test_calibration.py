@@ -154,6 +154,18 @@ def test_u_is_that_of_a_monte_carlo_through_a_solver_of_its_own():
         assert shown.angle_deg[k] == pytest.approx(psi.mean(), abs=0.03 * psi.std())
 
 
+def test_readings_without_noise_have_the_u_of_the_parameters():
+    calibration = adis_gonio.fit(planar_session(np.random.default_rng(5), noise_mg=2.0)).calibration()
+    accel = np.array([[640.0, 750.0], [-20.0, -990.0]])
+    quiet, plain = calibration.angle(accel, reading_u=0.0).u_deg, calibration.angle(accel).u_deg
+    assert quiet == pytest.approx(plain)
+    # At 90° a reading of X turns the angle, and a reading of Y does not.
+    by_axis = [calibration.angle([0.0, 1000.0], reading_u=u).u_deg for u in ((1.0, 0.0), (0.0, 1.0))]
+    still = calibration.angle([0.0, 1000.0]).u_deg
+    assert np.sqrt(by_axis[0] ** 2 - still**2) == pytest.approx(math.degrees(1e-3), rel=0.05)  # gains
+    assert by_axis[1] == pytest.approx(still, rel=0.01)
+
+
 def test_angles_of_the_stage_are_the_declared_ones():
     session = planar_session(np.random.default_rng(2))
     calibration = adis_gonio.fit(session, method="ml").calibration()

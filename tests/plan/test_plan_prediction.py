@@ -16,7 +16,8 @@ from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.plan.optimal_plan import best_plan, even_plan
 from adis_gonio.plan.prediction import Bench, expected_readings, predict, predict_sight, predict_uncertainty
 from adis_gonio.record.loading import load_session
-from adis_gonio.record.plans import plan
+from adis_gonio.record.plans import Plan, Position, plan
+from adis_gonio.record.source import Settings
 from adis_gonio.tracing.trace import trace_readings
 
 
@@ -78,6 +79,29 @@ def test_noise_and_dwell_do_what_they_should():
     # Each axis is a regression of three parameters on nine readings: even spacing predicts it with 3/9 of a
     # reading's variance everywhere, along the turn as well (the rounding adds 0.04 %).
     assert angle() == pytest.approx(math.sqrt(3 / 9) * math.degrees(4.7 / math.sqrt(8192) / 1000), rel=1e-3)
+
+
+def test_a_wait_delays_its_position_and_all_later_ones():
+    bench = Bench(0.02, settings=Settings(dwell_s=10.0, settle_s=2.0))
+    waits = Plan("waits", (Position(0.0, wait_s=5.0), Position(90.0), Position(180.0, wait_s=30.0)))
+    each = 10 + 12  # a turn by hand takes 10 s
+    assert bench.begins_s(waits).tolist() == [0.0, each, 2 * each + 30]
+    assert bench.seconds(waits) == 3 * each + 35
+    assert expected_readings(waits, bench).conditions.time_s.tolist() == [5.0, each + 5, 2 * each + 35]
+
+
+def test_the_filter_lengthens_the_wait_before_a_dwell():
+    waits = [Bench(0.02, settings=Settings(settle_s=0.1, filter_m=m)).settle_s for m in (0, 6)]
+    assert waits[0] == 0.1
+    assert waits[1] == pytest.approx(2 * 64 / 819.2, rel=0.02)  # two boxes of 64 samples
+
+
+@pytest.mark.parametrize("noise_mg", [1e-3, 4.7])
+def test_steps_that_noise_does_not_dither_do_not_average(noise_mg):
+    quiet = expected_readings(plan("mmpm"), Bench(0.0, noise_mg=noise_mg, flicker_mg=0.0))
+    step = 0.4672**2 / 12  # variance by the rounding of a sample
+    variance = noise_mg**2 / 8192 + (step if noise_mg < 0.1 else step / 8192)
+    assert quiet.own_covariance[:, 0, 0] == pytest.approx(variance, rel=0.01)
 
 
 def test_what_two_positions_cannot_see_stands_in_their_uncertainty():

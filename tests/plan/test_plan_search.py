@@ -9,6 +9,7 @@ import pytest
 from adis_gonio.base.conformity import Tolerance
 from adis_gonio.base.errors import FitError, UsageError
 from adis_gonio.plan.optimal_plan import (
+    arrange_in_columns,
     best_plan,
     candidates,
     even_plan,
@@ -124,6 +125,13 @@ def test_the_same_seed_gives_the_same_plan_and_it_beats_even_spacing_and_tumble(
     assert one.plan == again.plan
     assert {gain.name for gain in one.gains} == {"even", "tumble"}
     assert all(gain.criterion > 1.0 for gain in one.gains)
+    reach, even = one.prediction.reach, predict_uncertainty(even_plan(12), Bench(0.02))
+    ratios = {gain.name: gain.u for gain in one.gains}["even"]
+    assert ratios["delta_phi"] == pytest.approx(
+        even.parameters["delta_phi"].u / reach.parameters["delta_phi"].u
+    )
+    assert ratios["angle_worst"] == pytest.approx(even.angle_worst.u / reach.angle_worst.u)
+    assert ratios["angle_worst_by_parameters"] == pytest.approx(even.fitted_deg / reach.fitted_deg)
     angles = [position.angle_deg for position in one.plan.positions]
     assert all(a != b for a, b in itertools.pairwise(angles))
     assert {position.approach for position in one.plan.positions} == {1}
@@ -155,6 +163,15 @@ def test_fewest_is_the_fewest_and_time_is_what_a_session_expects():
     assert fewer.conformity(tolerance).verdict == "undecided"
     assert positions_in(bench, 4.0) == math.floor(240 / 20.5)
     assert found.prediction.seconds == pytest.approx(20.5 * count)
+
+
+def test_cells_run_down_the_columns_of_a_line_of_eighty_characters():
+    assert list(arrange_in_columns(["a", "b", "c", "d", "e"], least=24)) == [
+        "  a" + " " * 23 + "c" + " " * 23 + "e",
+        "  b" + " " * 23 + "d",
+    ]
+    assert list(arrange_in_columns(["x" * 40, "y"])) == ["  " + "x" * 40, "  y"]
+    assert list(arrange_in_columns([])) == []
 
 
 def test_interleaved_angles_are_the_even_ones_in_another_order():
