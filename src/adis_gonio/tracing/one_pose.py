@@ -336,7 +336,7 @@ def _log_evidence(problem: _Problem, model: Model) -> Floats:
     n = len(problem.readings)
     readings = white @ problem.readings
     jumps = white @ np.tri(n, n - 1, -1)  # jump k is 0 up to reading k and 1 after it
-    total = np.maximum((readings**2).sum(axis=2), 1e-300)
+    total, square = np.maximum((readings**2).sum(axis=2), 1e-300), (jumps**2).sum(axis=2)
 
     def factor(rest: Floats, p: int) -> Floats:
         """Return the logarithm of the evidence's factor for p amplitudes; `rest` is 1 − R²."""
@@ -347,10 +347,11 @@ def _log_evidence(problem: _Problem, model: Model) -> Floats:
     for j, choice in enumerate(choices):
         basis = np.linalg.qr(white @ _design(problem, choice)[:, 1:])[0]
         turned, p = basis.swapaxes(2, 3), basis.shape[3]
-        left, steps = readings - basis @ (turned @ readings), jumps - basis @ (turned @ jumps)
-        rest, norm = (left**2).sum(axis=2), (steps**2).sum(axis=2)
-        # A step inside the span of the other columns explains nothing more.
-        gain = (steps.swapaxes(2, 3) @ left) ** 2 / np.maximum(norm, 1e-9 * n)[..., None]
+        left = readings - basis @ (turned @ readings)
+        # Squared lengths of the readings and of the jumps outside the span of the columns.
+        rest, norm = (left**2).sum(axis=2), square - ((turned @ jumps) ** 2).sum(axis=2)
+        # A jump inside the span explains nothing more.
+        gain = (jumps.swapaxes(2, 3) @ left) ** 2 / np.maximum(norm, 1e-9 * n)[..., None]
         parts[0, j] = factor(rest / total, p)
         jumped = factor((rest[:, :, None] - gain) / total[:, :, None], p + 1)
         parts[1, j] = log_sum_exp(jumped, axis=2) - np.log(n - 1)
