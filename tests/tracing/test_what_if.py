@@ -14,10 +14,11 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy import stats
 
+from adis_gonio import load_session
 from adis_gonio.base.errors import UsageError
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting.estimation.fit import Fit
-from adis_gonio.fitting.estimation.readings import Readings
+from adis_gonio.fitting.estimation.readings import Readings, readings_of
 from adis_gonio.model.effects.formula import COVARIATES_OF_FORMULAS, formula_effect
 from adis_gonio.tracing.findings import finding_of
 from adis_gonio.tracing.trace import TraceRun, trace_readings
@@ -274,8 +275,13 @@ def test_the_message_points_at_the_place_in_the_text() -> None:
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("what_if") / "q.session"
     more = ["--effect", "bias", "--effect", "quadratic:k2_x=3", "--seed", "3", "--dwell", "2"]
-    assert main(["simulate", "--plan", "tumble", *more, "-o", str(path)]) == 0
+    assert main(["simulate", "--plan", "tumble", "--positions", "6", *more, "-o", str(path)]) == 0
     return path
+
+
+@pytest.fixture(scope="module")
+def data(session: Path) -> Readings:
+    return readings_of(load_session(session))
 
 
 WRONG = [
@@ -310,6 +316,19 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("options", "message"), WRONG)
+def test_a_wrong_request_is_refused_with_its_reason(
+    data: Readings, options: list[str], message: str
+) -> None:
+    words = {
+        name: [b for a, b in itertools.pairwise(options) if a == name] for name in ("--with", "--without")
+    }
+    with pytest.raises(UsageError) as caught:
+        TraceRun(data, 6, (), AskedModel.of(*words.values(), only="--only" in options))
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("options", "message"), [WRONG[4], WRONG[-4], WRONG[-1]])
 def test_a_wrong_request_is_one_line_and_status_2(
     session: Path, capsys: pytest.CaptureFixture[str], options: list[str], message: str
 ) -> None:

@@ -60,14 +60,13 @@ def test_without_effects_the_simulator_shows_nothing(tmp_path):
     assert sum(bool(found) for found in shown.values()) <= 1, shown
 
 
-def test_tone_through_the_chip(tmp_path, humming):
-    for source in (humming, simulated(tmp_path / "other.session", TONE, seed=0)):
-        (found,) = within(source)
-        gain = abs(FILTER @ np.exp(-2j * np.pi * 50 / RATE_HZ * np.arange(len(FILTER))))
-        assert (found.kind, found.axes, len(found.positions)) == ("tone", ("x", "y"), 12)
-        assert held(found, "frequency", 50.0)
-        assert held(found, "tone_x", 2 * gain)
-        assert held(found, "tone_y", 1 * gain)
+def test_tone_through_the_chip(humming):
+    (found,) = within(humming)
+    gain = abs(FILTER @ np.exp(-2j * np.pi * 50 / RATE_HZ * np.arange(len(FILTER))))
+    assert (found.kind, found.axes, len(found.positions)) == ("tone", ("x", "y"), 12)
+    assert held(found, "frequency", 50.0)
+    assert held(found, "tone_x", 2 * gain)
+    assert held(found, "tone_y", 1 * gain)
 
 
 @pytest.mark.parametrize("above_hz", [600.0, 1500.0])
@@ -89,27 +88,23 @@ def test_a_tone_above_half_the_rate_is_seen_as_its_alias_and_named_among_what_fo
 
 
 def test_settling_through_the_chip(tmp_path):
-    for seed in range(2):
-        effect = "settling:settling_x=8,tau=0.8"
-        path = simulated(tmp_path / f"{seed}.session", effect, seed=seed, dwell_s=4.0)
-        (found,) = within(path)
-        assert (found.kind, found.axes) == ("settling", ("x",))
-        assert held(found, "tau", 0.8)
-        # The dwell begins after the move: less than the whole amplitude is left.
-        assert 0.5 < found.parameters["settling_x"].value < 8
+    path = simulated(tmp_path / "s.session", "settling:settling_x=8,tau=0.8", dwell_s=4.0)
+    (found,) = within(path)
+    assert (found.kind, found.axes) == ("settling", ("x",))
+    assert held(found, "tau", 0.8)
+    # The dwell begins after the move: less than the whole amplitude is left.
+    assert 0.5 < found.parameters["settling_x"].value < 8
 
 
 def test_noise_change_through_the_chip(tmp_path):
     gain = float(np.sqrt((FILTER**2).sum()))
-    for seed in range(2):
-        effect = "noise_change:extra_x=4,extra_y=4,start=40"
-        path = simulated(tmp_path / f"{seed}.session", effect, seed=seed, dwell_s=4.0)
-        (found,) = within(path)
-        assert (found.kind, found.effect) == ("noise_change", "noise_change")
-        assert held(found, "extra_x", 4 * gain)
-        # The chip's clock begins when it is switched on, the session's a little later.
-        start = found.parameters["start"]
-        assert abs(start.value - 40) < 2 * start.u < 6
+    effect = "noise_change:extra_x=4,extra_y=4,start=40"
+    (found,) = within(simulated(tmp_path / "n.session", effect, dwell_s=4.0))
+    assert (found.kind, found.effect) == ("noise_change", "noise_change")
+    assert held(found, "extra_x", 4 * gain)
+    # The chip's clock begins when it is switched on, the session's a little later.
+    start = found.parameters["start"]
+    assert abs(start.value - 40) < 2 * start.u < 6
 
 
 def test_vibration_raises_the_scatter_and_moves_the_mean(tmp_path):
