@@ -22,7 +22,7 @@ truncations of one unit (3.6), truncations of x and the table (1.5), the remaind
 the rounding to a µ° (0.5).
 
 In `float` the header finds the angle without a library: a quotient, a reduction to |q| ≤ tan 22.5°, and a
-polynomial (`ATAN`, relative error 2.6e-9).
+polynomial (`ATAN`, relative error 3.2e-9).
 
 Rates of the gyros are integers of 1/256 of 0.018315 °/s, the sensor's finest LSB, so that one header serves
 every range. In °/s, with f the raw readings of the accelerometers in g (within ±2 g), t = (T − 25 °C)/128
