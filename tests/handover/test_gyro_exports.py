@@ -27,6 +27,8 @@ from adis_gonio.handover.fixed_point import (
     rate_polynomial_of,
 )
 from adis_gonio.handover.register_offsets import gyro_offset_words, registers_text
+from adis_gonio.model.records import Dwell, Session
+from adis_gonio.tracing import trace_calibrations
 from handover.calibrations import CURVED, PLANE, SPACE, calibration, of_counts
 from handover.dcc_structure import judge
 from handover.gyros import EVERY, FULL, UNITS, ZERO, Estimated, gyros, with_gyros
@@ -413,3 +415,13 @@ def test_names_of_where_the_gyros_come_from_survive_the_file_and_stand_in_every_
     assert Calibration.load(two_sessions / "named.json").gyro.source == "table.session"
     assert "# Gyros from table.session." in registers_text(both)
     assert "The gyros were calibrated in table.session." in certificate_text(both, date(2026, 5, 4))
+
+
+@pytest.mark.parametrize("write", [registers_text, c_header])
+def test_gyros_that_a_session_does_not_calibrate_are_named_with_the_reason(write):
+    rest = Dwell(0, np.arange(9.0), np.zeros((9, 2)), gyro=np.eye(9, 3))
+    session = Session((rest,), accel_unit="mg", gyro_unit="counts")
+    made = trace_calibrations.with_gyros(calibration(PLANE), session)
+    assert "corrected: gyros: session: gyros in counts have no known scale" in write(made)
+    alone = trace_calibrations.with_gyros(calibration(PLANE), replace(session, dwells=()))
+    assert not alone.not_corrected

@@ -168,6 +168,7 @@ def registers_text(calibration: Calibration) -> str:
     if words[0].before is None:
         lines.append("# The session does not state the contents of the registers: the numbers assume 0.")
     lines += _lines(words, "bias", 3)
+    lines += [f"# Not corrected: {one.effect}: {one.reason}." for one in calibration.not_corrected]
     if gyro is not None:
         if gyro.source != where.source:
             lines.append(f"# Gyros from {gyro.source or 'a session not stated'}.")

@@ -24,7 +24,7 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
 from adis_gonio.fitting.fit_result import as_written, assumed_parameters, known_provenance, outputs_of
 from adis_gonio.fitting.gyros.gyro_fit import fit_gyro, stated_parameters
-from adis_gonio.model.effects import AXES, catalogue, effect
+from adis_gonio.model.effects import AXES, catalogue
 from adis_gonio.model.records import MG_PER_G, Session
 from adis_gonio.record.provenance import Provenance, provenance_of
 from adis_gonio.tracing.averaging import AveragedFit, AveragedTerm, middle_s
@@ -65,8 +65,7 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
         if isinstance(term, NamedTerm) and term.effect.correctable and _is_corrected(term, result)
     ]
     others = [term for term in final.terms if term not in standing and not term.constant]
-    left = [_reason_not_corrected(term, result, middle_s(final)) for term in others]
-    left += _unnamed_left(result)
+    left = [_reason_not_corrected(term, result, middle_s(final)) for term in others] + _unnamed_left(result)
     fit, inflation = _refit_without(final, others, result.inflation)
     corrected = [term for term in fit.terms if isinstance(term, NamedTerm) and term in standing]
     rows, matrix = _stated_with_covariance(fit, corrected, inflation)
@@ -90,9 +89,7 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
             covariance=matrix if fit.data.noise_known or inflation != 1 else None,
             effects=effects,
             not_corrected=tuple(left),
-            assumed=tuple(
-                one for one in assumed_parameters(fit.data.model, [*names, *_biases(fit)]) if one != "alpha"
-            ),
+            assumed=assumed_parameters(fit.data.model, [*names, *_biases(fit), "alpha"]),
             counts_per_mg=None if fit.data.unit.known else tuple(fit.data.unit.per_mg.tolist()),
         )
     )
@@ -136,8 +133,7 @@ def _refit_without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[F
     pairs = zip(fit.terms, fit.values.terms, strict=True)
     kept = [(term, own) for term, own in pairs if term not in terms]
     if not biased:
-        axes = fit.data.axes
-        kept.append((NamedTerm("bias", (), 0.0, effect("bias", tuple(AXES[:axes]))), np.zeros(axes)))
+        kept.append((NamedTerm.offset(AXES[: fit.data.axes]), np.zeros(fit.data.axes)))
     values = replace(fit.values, terms=tuple(own for _, own in kept))
     # A plain `Fit`: an `AveragedFit` would keep the covariance of its members.
     again = Fit(fit.data, tuple(term for term, _ in kept), values, fit.with_prior).refit()
@@ -298,9 +294,10 @@ def _not_corrected(term: Term) -> NotCorrected:
 
 
 def with_gyros(calibration: Calibration, session: Session, *, traced: bool = False) -> Calibration:
-    """Return a calibration with the gyro calibration of a session added; unchanged if the session has none.
+    """Return a calibration with the gyro calibration of a session added; unchanged if it has no gyros.
 
-    `traced` is True for the gyros' traced model with its effects.
+    If the session does not calibrate its gyros, `not_corrected` gets the reason. `traced` is True for the
+    gyros' traced model with its effects.
 
     Raises
     ------
@@ -311,8 +308,11 @@ def with_gyros(calibration: Calibration, session: Session, *, traced: bool = Fal
         gyro = gyro_calibration_of(session, traced=traced)
     except SessionError:
         raise
-    except AdisGonioError:
-        return calibration
+    except AdisGonioError as error:
+        if all(dwell.gyro is None for dwell in session.dwells):
+            return calibration
+        lost = NotCorrected("gyros", str(error))
+        return replace(calibration, not_corrected=(*calibration.not_corrected, lost))
     return replace(calibration, gyro=gyro)
 
 
