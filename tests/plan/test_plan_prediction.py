@@ -116,11 +116,24 @@ def test_what_two_positions_cannot_see_stands_in_their_uncertainty():
 
 @pytest.mark.parametrize("fixture_deg", [0.5, 5.0])
 def test_at_four_positions_the_stage_alone_determines_the_angle_between_the_axes(fixture_deg):
-    told = predict_uncertainty(plan("four-position"), Bench(fixture_deg)).parameters
+    reach = predict_uncertainty(plan("four-position"), Bench(fixture_deg))
+    told = reach.parameters
     # From 0°, X has its zeros at 90° and 270°, Y at 0° and 180°: each pair gives the angle of an axis.
     assert told["delta_phi"].u == pytest.approx(fixture_deg, rel=0.02)
     assert told["alpha"].u == pytest.approx(fixture_deg / math.sqrt(2), rel=0.02)
-    assert {"delta_k", "bias_x", "bias_y"} < told.keys()
+    assert {"bias_x", "bias_y"} < told.keys()
+    # An angle between the axes as large as the stage's errors changes the gains by half its square.
+    by_angle = math.radians(fixture_deg) ** 2 / 2
+    assert told["delta_k"].u == pytest.approx(math.hypot(1.53e-4, by_angle), rel=0.3)
+    assert np.sqrt((reach.roots_deg**2).sum(axis=1)).max() == pytest.approx(reach.fitted_deg)
+
+
+def test_each_parameter_has_an_uncertainty_or_is_undetermined():
+    """Without errors of a stage of 20° the fit has no angle; with errors most sessions have one."""
+    told = predict_uncertainty(plan("four-position"), Bench(20.0))
+    names = ["alpha", "bias_x", "bias_y", "delta_k", "delta_phi", "scale_x", "scale_y"]
+    assert sorted([*told.parameters, *told.undetermined]) == names
+    assert told.undetermined == ("bias_x", "bias_y")
 
 
 def test_positions_in_space_are_refused():

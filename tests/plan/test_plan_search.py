@@ -14,12 +14,20 @@ from adis_gonio.plan.optimal_plan import (
     candidates,
     even_plan,
     fewest_positions,
+    headline,
     interleaved_plan,
     positions_in,
     search,
 )
-from adis_gonio.plan.prediction import LARGEST_FIXTURE_DEG, Bench, expected_readings, predict_uncertainty
+from adis_gonio.plan.prediction import (
+    LARGEST_FIXTURE_DEG,
+    Bench,
+    expected_readings,
+    predict,
+    predict_uncertainty,
+)
 from adis_gonio.record.plans import plan
+from adis_gonio.record.source import Settings
 
 QUIET = Bench(0.02, flicker_mg=0.0)
 
@@ -163,6 +171,17 @@ def test_fewest_is_the_fewest_and_time_is_what_a_session_expects():
     assert fewer.conformity(tolerance).verdict == "undecided"
     assert positions_in(bench, 4.0) == math.floor(240 / 20.5)
     assert found.prediction.seconds == pytest.approx(20.5 * count)
+
+
+def test_an_angle_that_a_plan_does_not_determine_has_no_ratio():
+    found = best_plan(Bench(LARGEST_FIXTURE_DEG, noise_mg=1e4), 5, grid_deg=60.0)
+    assert found.prediction.reach.angle_worst.u is None
+    assert [gain.as_dict()["u"]["angle_worst"] for gain in found.gains] == [None]
+
+
+def test_the_headline_has_the_time_of_the_session_in_minutes():
+    bench = Bench(0.02, settings=Settings(dwell_s=589.5))  # 600 s each
+    assert headline(predict(plan("four-position"), bench)).startswith("4 positions, 40 min: angle u 0.01")
 
 
 def test_cells_run_down_the_columns_of_a_line_of_eighty_characters():

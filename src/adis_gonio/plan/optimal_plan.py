@@ -441,7 +441,7 @@ class Gain(JsonRecord):
         if the best plan is better.
     u : dict of str to float
         For each parameter and the angle: standard uncertainty with the other plan divided by standard
-        uncertainty with the best plan.
+        uncertainty with the best plan; NaN for the angle if one of the plans does not determine it.
     """
 
     name: str = field(metadata=HIDDEN)
@@ -615,7 +615,7 @@ def _gain(ours: Prediction, figure: float, other: Plan, ground: Candidates) -> G
     pairs = {name: (value.u, ours.reach.parameters.get(name)) for name, value in reach.parameters.items()}
     # Only parameters that both plans determine have a ratio.
     ratios = {name: (u or 0.0) / one.u for name, (u, one) in pairs.items() if one is not None and one.u}
-    ratios["angle_worst"] = (reach.angle_worst.u or 0.0) / (ours.reach.angle_worst.u or math.inf)
+    ratios["angle_worst"] = (reach.angle_worst.u or math.nan) / (ours.reach.angle_worst.u or math.nan)
     ratios["angle_worst_by_parameters"] = reach.fitted_deg / ours.reach.fitted_deg
     pair = (figure, theirs) if ground.best == "tell-apart" else (theirs, figure)
     better = pair[0] / pair[1] if pair[1] > 0 else math.inf
