@@ -134,6 +134,9 @@ def test_each_parameter_has_an_uncertainty_or_is_undetermined():
     names = ["alpha", "bias_x", "bias_y", "delta_k", "delta_phi", "scale_x", "scale_y"]
     assert sorted([*told.parameters, *told.undetermined]) == names
     assert told.undetermined == ("bias_x", "bias_y")
+    u_deg = told.angle_worst.u
+    verdicts = [told.conformity(Tolerance(size * u_deg)).verdict for size in (0.5, 4.0)]
+    assert verdicts == ["undecided", "pass"]
 
 
 def test_positions_in_space_are_refused():

@@ -428,10 +428,8 @@ def _median(exact: PlanUncertainty, sessions: Sequence[PlanUncertainty | None]) 
     parameters = {name: median(value, u_by_name(name)) for name, value in known.items()}
     sure = {name: value for name, value in parameters.items() if value.u is not None}
     fitted = median(exact.angle, lambda one: one.fitted_deg if one.angle.u is not None else None)
-    # The shape over the turn of the exact session, with the size of the median session.
-    roots = exact.roots_deg
-    if roots is not None:
-        roots = None if fitted.u is None else fitted.u / exact.fitted_deg * roots
+    # The shape over the turn of the first session that has one, with the size of the median session.
+    shapes = [s.roots_deg / s.fitted_deg for s in (exact, *sessions) if s and s.roots_deg is not None]
     return replace(
         exact,
         parameters=sure,
@@ -440,7 +438,7 @@ def _median(exact: PlanUncertainty, sessions: Sequence[PlanUncertainty | None]) 
         fitted_deg=math.nan if fitted.u is None else fitted.u,
         undetermined=tuple(name for name in (*parameters, *exact.undetermined) if name not in sure),
         notes=(*exact.notes, _DEPENDS),
-        roots_deg=roots,
+        roots_deg=None if fitted.u is None else fitted.u * shapes[0],
     )
 
 
