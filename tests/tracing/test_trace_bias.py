@@ -12,8 +12,7 @@ from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.model.effects import effect
 from adis_gonio.model.records import Dwell, Session
-from adis_gonio.tracing import findings
-from adis_gonio.tracing.findings import bias_at_middle, differs_from_zero, finding_of, zeros_of
+from adis_gonio.tracing.findings import differs_from_zero, finding_of, zeros_of
 from adis_gonio.tracing.trace import ZERO_OF_COUNTS, trace
 from calibrate.sessions import planar_session
 from tracing.small_problems import U, chosen, noisy, turn
@@ -35,31 +34,49 @@ def traded():
 
 
 def test_a_bias_that_trades_with_a_warm_up_is_told_from_zero_by_its_value_in_the_middle():
-    selection = traded()
-    found = finding_of(selection, "bias")
-    assert not differs_from_zero(found)
-    middle = bias_at_middle(selection, found)
-    assert differs_from_zero(middle)
+    found = finding_of(traded(), "bias")
+    assert differs_from_zero(found)
     for name, truth in zip(("bias_x", "bias_y"), BIAS_MG, strict=True):
-        value = middle.parameters[name]
+        value = found.parameters[name]
         assert value.value == pytest.approx(truth, abs=4 * value.u)
         assert value.u < 3 * U  # of 24 readings, of which each has u = U
 
 
-def test_the_trace_judges_a_bias_by_its_value_in_the_middle(monkeypatch):
-    """What it withdraws as no larger than its uncertainty is withdrawn for that of the middle."""
-    judged = []
-    monkeypatch.setattr(findings, "bias_at_middle", lambda _, finding: judged.append(finding) or finding)
-    monkeypatch.setattr(findings, "differs_from_zero", lambda finding: finding.effect != "bias")
-    result = adis_gonio.trace(planar_session(np.random.default_rng(2)))
-    assert "bias" in {finding.effect for finding in judged}
-    assert "no larger than" in result.reasons["bias"]
+@pytest.fixture(scope="module")
+def warming():
+    """A bias of (12, −7) mg with a warm-up of 3 and −2 mg whose time constant is as long as the session."""
+    session = planar_session(np.random.default_rng(2))
+    size, tau_s = np.array([3.0, -2.0]), 110.0
+    dwells = [
+        replace(dwell, accel=dwell.accel + np.exp(-dwell.time_s[:, None] / tau_s) * size)
+        for dwell in session.dwells
+    ]
+    return trace(replace(session, dwells=tuple(dwells))), np.array([12.0, -7.0]) + size * np.exp(-0.5)
 
 
-def test_a_bias_stands_as_it_is_where_nothing_follows_the_clock():
-    selection = chosen(traded().data, [NamedTerm("bias[xy]", (), 1.0, effect("bias"))], ((0,), 1.0))
-    found = finding_of(selection, "bias")
-    assert bias_at_middle(selection, found) is found
+def test_a_bias_that_drifts_is_stated_at_the_middle_as_in_the_calibration(warming):
+    result, truth = warming
+    (bias,) = (one for one in result.found if one.effect == "bias")
+    calibration = result.calibration()
+    for name, true in zip(("bias_x", "bias_y"), truth, strict=True):
+        assert bias.parameters[name].value == pytest.approx(calibration[name].value, abs=1e-6)
+        assert bias.parameters[name].value == pytest.approx(true, abs=bias.parameters[name].U)
+
+
+def test_a_bias_at_the_middle_has_the_uncertainty_of_all_courses_of_time():
+    """A warm-up as a rival puts another value there, although a line alone determines it well."""
+    data = traded().data
+    minutes = data.conditions.time_s / 60
+    data = replace(data, mean=data.mean + 40 * U * (minutes / minutes.max())[:, None])
+    terms = [
+        NamedTerm("bias[xy]", (), 1.0, effect("bias")),
+        NamedTerm("bias_drift[xy]", ("time",), 1.0, effect("bias_drift")),
+        NamedTerm("warm_up[xy]", ("time",), 1.0, effect("warm_up"), ((2, 300.0),)),
+    ]
+    alone = finding_of(chosen(data, terms[:2], ((0, 1), 1.0)), "bias").parameters["bias_x"]
+    both = finding_of(chosen(data, terms, ((0, 1), 0.6), ((0, 2), 0.4)), "bias").parameters["bias_x"]
+    assert both.value == pytest.approx(alone.value)
+    assert both.u > 1.2 * alone.u
 
 
 def test_the_zero_of_counts_is_stated_as_the_bias_that_a_fit_finds():

@@ -87,6 +87,8 @@ def finding_of(
     amplitude_of, mixture = effect_mixture(selection, name)
     dof = dof_of(selection)
     fit = selection.fit
+    biases = biases_at_middle(fit) if name == "bias" else {}
+    each = np.eye(len(fit.values.parameters))
     for index, (term, values) in enumerate(zip(fit.terms, fit.values.terms, strict=True)):
         at = fit.slice_of(index).start
         if isinstance(term, NamedTerm) and term.name == name:
@@ -95,11 +97,12 @@ def finding_of(
             seen = np.abs(fit.candidate(term)).max(axis=(0, 1)) > 0
             unseen = {k for k, shown in zip(term.amplitudes, seen, strict=True) if not shown}
             for k, parameter in enumerate(term.effect.parameters):
-                u = float(np.sqrt(fit.covariance[at + k, at + k] * selection.inflation))
+                fitted, slope = biases.get(parameter.name, (float(values[k]), each[at + k]))
+                u = float(np.sqrt(slope @ fit.covariance @ slope * selection.inflation))
                 if parameter.name in amplitude_of:  # the covariance contains the spread of fitted shapes
                     u = mixture.u(u, np.array([float(other == parameter.name) for other in amplitude_of]))
                 undetermined = k in unseen
-                value = 0.0 if undetermined else float(values[k])
+                value = 0.0 if undetermined else fitted
                 # Sessions may show two courses of one name; a single session keeps the last one.
                 stated = parameter.name
                 if stated in parameters and selection.data.model.origins:
@@ -247,11 +250,9 @@ def zeros_of(selection: Selection) -> dict[str, Value]:
         values = replace(fit.values, terms=(*fit.values.terms, np.zeros(len(lacking))))
         fit = Fit(data, (*fit.terms, zero), values, fit.with_prior).refit()
     stated: dict[str, Value] = {}
-    for letter in axes:
-        place = bias_places(fit)[letter]
-        u = float(np.sqrt(fit.covariance[place, place] * selection.inflation))
-        bias = float(fit.values.parameters[place])
-        stated[f"bias_{letter}"] = Value(bias, u, "mg", dof_of(selection))
+    for name, (bias, slope) in biases_at_middle(fit).items():
+        u = float(np.sqrt(slope @ fit.covariance @ slope * selection.inflation))
+        stated[name] = Value(bias, u, "mg", dof_of(selection))
     return in_units_of_file(Finding("bias", axes, stated, 1.0, 0.0, 1.0), data.unit).parameters
 
 
@@ -408,19 +409,19 @@ def base_mixture(selection: Selection) -> Mixture:
 def effect_mixture(selection: Selection, name: str) -> tuple[list[str], Mixture]:
     """Return the names of an effect's amplitudes, and their values in all probable models with the effect.
 
-    `name` is the effect. Models with other shapes or dwells are excluded: shapes are fitted, and the
-    covariance contains their spread. If the chosen model has a bias, models without a bias are excluded
-    too. Every sensor has a bias, and without it two curvatures can compensate each other with unrealistic
-    amplitudes.
+    `name` is the effect. A bias has its value at the middle of the session (`biases_at_middle`). Models
+    with other shapes or dwells are excluded: shapes are fitted, and the covariance contains their spread.
+    If the chosen model has a bias, models without a bias are excluded too. Every sensor has a bias, and
+    without it two curvatures can compensate each other with unrealistic amplitudes.
     """
     problem, verdict = selection.problem, selection.verdict
     needed = _names(problem, verdict.best) & {"bias"}
     kind = _kind(problem.terms, verdict.best, name)
-    own = _amplitudes_of(problem, verdict.best, name)
+    own = _amplitudes_of(selection, verdict.best, name)
     away, weights = [np.zeros(len(own))], [1e-12]  # the chosen model, in case no model qualifies
     for model, weight in posterior(selection.found).items():
         if _kind(problem.terms, model, name) == kind and needed <= _names(problem, model):
-            values = _amplitudes_of(problem, model, name)
+            values = _amplitudes_of(selection, model, name)
             away.append(np.array([values.get(parameter, 0.0) - own[parameter] for parameter in own]))
             weights.append(weight)
     return list(own), Mixture(np.array(away), np.array(weights) / sum(weights))
@@ -444,14 +445,23 @@ def _kind(terms: Sequence[Term], model: Sequence[int], name: str) -> tuple[objec
     )
 
 
-def _amplitudes_of(problem: LinearProblem, model: Sequence[int], name: str) -> dict[str, float]:
-    """Return an effect's amplitudes in a model by parameter name, from a linear fit of this model."""
-    out: dict[str, float] = {}
+def _amplitudes_of(selection: Selection, model: Sequence[int], name: str) -> dict[str, float]:
+    """Return an effect's amplitudes in a model by parameter name, from a linear fit of this model.
+
+    A bias contains the terms that depend on time alone, at the middle of a single session.
+    """
+    problem, data = selection.problem, selection.data
+    middle = Conditions(time_s=np.array([middle_s(selection.fit)]))
+    out: dict[str, float] = defaultdict(float)
     for k, own in zip(model, amplitudes(problem, model), strict=True):
         term = problem.terms[k]
         if isinstance(term, NamedTerm) and term.name == name:
             for index, value in zip(term.amplitudes, own, strict=True):
-                out[term.effect.parameters[index].name] = float(value)
+                out[term.effect.parameters[index].name] += float(value)
+        elif name == "bias" and follows_clock(term) and not (term.enters_angle or data.model.origins):
+            added = term.columns(np.zeros((1, data.axes)), middle)[0] @ own
+            for letter, value in zip(AXES, added, strict=False):
+                out[f"bias_{letter}"] += float(value)
     return out
 
 
@@ -490,26 +500,20 @@ def clock_at_middle(fit: Fit, ideal: Floats, *, turned: bool = False) -> tuple[F
     return added, gradient
 
 
-def bias_at_middle(selection: Selection, finding: Finding) -> Finding:
-    """Return a bias finding with its value at the middle of the session; leave other findings unchanged.
+def biases_at_middle(fit: Fit) -> dict[str, tuple[float, Floats]]:
+    """Return the value of each fitted bias at the middle of the session, and its derivative (p,), by name.
 
-    Several sessions have no common middle.
+    The result is empty for several sessions, which have no common middle.
     """
-    fit = selection.fit
-    if finding.effect != "bias" or fit.data.model.origins:
-        return finding
+    stated: dict[str, tuple[float, Floats]] = {}
+    if fit.data.model.origins:
+        return stated
     added, slopes = clock_at_middle(fit, np.zeros(fit.data.axes))
-    if not slopes.any() and not added.any():
-        return finding
-    stated = dict(finding.parameters)
     for letter, place in bias_places(fit).items():
         axis = AXES.index(letter)
-        slope = slopes[axis].copy()
-        slope[place] += 1.0
-        u = float(np.sqrt(slope @ fit.covariance @ slope * selection.inflation))
-        value = float(fit.values.parameters[place] + added[axis])
-        stated[f"bias_{letter}"] = replace(finding.parameters[f"bias_{letter}"], value=value, u=u)
-    return replace(finding, parameters=stated)
+        slopes[axis, place] += 1.0
+        stated[f"bias_{letter}"] = float(fit.values.parameters[place] + added[axis]), slopes[axis]
+    return stated
 
 
 def cycles_alike(selection: Selection) -> list[tuple[int, tuple[int, ...]]]:

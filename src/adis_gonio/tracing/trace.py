@@ -381,8 +381,7 @@ class TraceRun:
             and (one.names[0] in known or self.functions_checked)
         )
         self.likelier = likelier_functions(self.sets, self.terms)
-        at_middle = [findings.bias_at_middle(final, finding) for finding in seen]
-        weak = weak_names(at_middle, self.figures[-1], self.likelier)
+        weak = weak_names(seen, self.figures[-1], self.likelier)
         self.names = validation.reject_names(self.names, weak)
         self.findings = [finding for finding in seen if finding.effect not in weak]
         self.notes = list(findings.notes_of(self.selection, self.scatter))
