@@ -58,7 +58,8 @@ def test_logarithmic_axes_place_decades_evenly():
 
 def test_values_that_an_axis_cannot_hold_are_left_out():
     assert len(markers(drawn(Series([0.0, 1, 10], [1, 1, np.nan]), x_log=True))) == 1
-    assert len(markers(drawn(Series([-2.0, 0, 2], [1, 1, 1]), x_range=(-1, 1)))) == 1
+    assert len(markers(drawn(Series([1.0, 2, 3], [0, -1, 10]), y_log=True))) == 1
+    assert len(markers(drawn(Series([-2.0, -1, 1, 2], [1, 1, 1, 1]), x_range=(-1, 1)))) == 2
 
 
 def test_error_bars_are_as_long_as_the_error():
@@ -66,6 +67,21 @@ def test_error_bars_are_as_long_as_the_error():
     (_, y0), (_, y1) = markers(root)
     lengths = [abs(np.diff(bar[:, 1])[0]) for bar in corners(line_of(root, "before"))]
     assert lengths == pytest.approx([abs(y0 - y1), abs(y0 - y1) / 2], abs=0.3)
+
+
+def test_a_line_has_a_band_as_wide_as_the_error_on_both_sides():
+    root = drawn(Series([0, 1], [0, 10], error=[5, 2.5], style="line"))
+    (line,) = corners(line_of(root, "before"))
+    (band,) = (corners(p)[0] for p in root.iter(f"{SVG}path") if "opacity:0.22" in p.get("style"))
+    unit = (line[0, 1] - line[1, 1]) / 10
+    above = [line[0, 1] - 5 * unit, line[0, 1] + 5 * unit, line[1, 1] - 2.5 * unit, line[1, 1] + 2.5 * unit]
+    assert sorted(band[:4, 1]) == pytest.approx(sorted(above), abs=0.2)
+
+
+def test_the_legend_has_the_series_with_a_label_and_ticks_their_texts():
+    root = drawn(Series([0, 1], [0, 1], "named"), Series([0, 1], [1, 0]), x_ticks={0: "below", 1: "above"})
+    assert len(markers(root)) == 4 + 1
+    assert {"named", "below", "above"} < set(texts(root))
 
 
 def test_an_error_bar_that_a_logarithmic_axis_cannot_hold_keeps_its_upper_end():
