@@ -115,6 +115,11 @@ def test_labels_of_a_logarithmic_axis_are_numbers_that_a_person_reads():
     assert not [text for text in seen if "$" in text or "e-" in text]
 
 
+def test_a_logarithmic_axis_of_nearly_equal_values_has_a_decade_about_them():
+    seen = texts(drawn(Series([30, 40], [5.0, 5.5]), y_log=True))
+    assert [text for text in seen if text in ("1", "2", "5", "10", "20")] == ["2", "5", "10"]
+
+
 def test_before_and_after_differ_by_shape_and_not_by_colour_alone():
     root = drawn(Series([0], [0], "before"), Series([0], [1], "after"))
     styles = {marker.get("style") for marker in root.iter(f"{SVG}use")}

@@ -110,6 +110,22 @@ def test_the_part_rings_after_a_move_and_comes_to_rest():
     assert (ringing[times > end + 6.1] == 0).all()
 
 
+def test_the_part_rings_at_its_frequency():
+    part = stage(vibration_mg=20.0, vibration_decay_s=10.0, vibration_hz=35.0)
+    end = part.move_to(0.0, 90.0)
+    ringing = part.at(end + np.arange(1, 2**14) / 2**14).ringing_mg
+    assert np.count_nonzero(np.diff(np.sign(ringing))) == pytest.approx(2 * 35, abs=1)
+
+
+def test_the_part_slips_on_the_way_to_a_position_and_stays_there():
+    part, now, errors = stage(part_slip_deg=0.3, part_slip_position=2.0), 0.0, []
+    for place in (0.0, 10.0, 20.0, 30.0):
+        now = part.move_to(now + 1, place)
+        errors.append(part.error_deg)
+        assert angle_of(part, now) == pytest.approx(part.error_deg - place)
+    assert errors == pytest.approx([0.0, 0.0, -0.3, -0.3])
+
+
 def test_before_any_move_nothing_rings():
     assert (stage(vibration_mg=20.0).at(np.linspace(-1, 5, 100)).ringing_mg == 0).all()
 
