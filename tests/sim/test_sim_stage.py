@@ -126,6 +126,16 @@ def test_the_part_slips_on_the_way_to_a_position_and_stays_there():
     assert errors == pytest.approx([0.0, 0.0, -0.3, -0.3])
 
 
+def test_a_free_turn_starts_at_the_angle_at_which_the_part_rests():
+    part = stage(alpha_deg=170.0, fixture_sigma_deg=0.5)
+    now = part.move_to(0.0, -30.0)
+    assert part.free_start_deg is None
+    resting = angle_of(part, now)
+    now = part.turn_freely(now + 1)
+    assert part.free_start_deg == pytest.approx(resting)
+    assert part.error_deg != 0
+
+
 def test_before_any_move_nothing_rings():
     assert (stage(vibration_mg=20.0).at(np.linspace(-1, 5, 100)).ringing_mg == 0).all()
 
