@@ -135,6 +135,12 @@ class TestLikelihood:
         np.testing.assert_allclose(np.diff(told), np.diff(expected), atol=0.01)
         assert np.abs(np.diff(expected)).min() > 0.3
 
+    def test_a_factor_on_the_noise_is_as_good_as_readings_with_that_noise(self) -> None:
+        data = replace(rough(1.5), fixture_rad=3e-4)
+        loud = replace(data, own_covariance=4 * data.own_covariance, fixture_rad=6e-4)
+        told = scatter.log_evidence(Fit.begin(data).refit(), 3.0, 4.0)
+        assert told == pytest.approx(scatter.log_evidence(Fit.begin(loud).refit(), 3.0), abs=1e-3)
+
     def test_terms_are_integrated_out_but_where_their_prices_have_it(self) -> None:
         data, (bias, _), selection = biased_and_curved()
         fit = selection.base.with_terms([bias], [np.zeros(2)]).refit()

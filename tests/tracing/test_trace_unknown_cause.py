@@ -60,6 +60,15 @@ def test_scores_beside_a_process_are_those_of_generalised_least_squares() -> Non
         assert beside.gain((k,)) == pytest.approx(gain, rel=1e-6)
 
 
+def test_the_process_has_one_standard_uncertainty_and_nothing_that_the_base_model_explains() -> None:
+    data = noisy(surroundings(), 3)
+    fit = Fit.begin(data).refit()
+    features = unknown_features(fit)
+    assert np.abs(fit.white(fit.base_columns).T @ features).max() < 1e-6 * np.abs(fit.jacobian).max()
+    # The base model explains a part of it.
+    assert 0.8 < np.sum(features**2) / len(features) < 1.0
+
+
 def test_the_size_of_the_process_is_found() -> None:
     data = noisy(surroundings(), 4)
     fit = Fit.begin(data).refit()
