@@ -1,4 +1,4 @@
-"""Start values, calibrated readings, and the parameters that poses show."""
+"""Start values, and the parameters that poses show."""
 
 import math
 
@@ -38,17 +38,6 @@ def test_angles_on_one_line_begin_with_a_perfect_part_at_the_start_angle(theta):
         planar([2.0, 1.0, 1.0, 0.0], np.array(theta)), np.array(theta), at_rest(len(theta))
     )
     assert found == pytest.approx([2.0, 1.0, 1.0, 0.0])
-
-
-def test_a_calibrated_reading_is_the_gravity_that_made_it():
-    base = np.array([0.3, 1.1, 0.9, 0.05])
-    psi = np.linspace(-3.0, 3.0, 7)
-    reading = planar(base, base[0] - psi)
-    assert PLANE.calibrated(base, reading) == pytest.approx(np.column_stack([np.cos(psi), np.sin(psi)]))
-    assert PLANE.angle_rad(base, reading) == pytest.approx(psi)
-    base = np.array([1.1, 0.9, 1.05, 0.05, -0.03, 0.02])
-    reading = SPACE.ideal(base, FACES, np.zeros(6))
-    assert SPACE.calibrated(base, reading) == pytest.approx(FACES, abs=1e-12)
 
 
 def test_six_faces_show_gains_and_no_skew_and_edges_show_the_skew_of_their_axes():

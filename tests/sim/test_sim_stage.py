@@ -225,8 +225,9 @@ def test_positions_in_pieces_equal_positions_at_once():
         assert np.array_equal(pieces, getattr(whole, name), equal_nan=True), name
 
 
-def test_the_course_between_its_knots_is_the_way_that_the_part_takes():
-    part = stage(alpha_deg=3.0, fixture_sigma_deg=0.1)
+@pytest.mark.parametrize("hand", [0.0, 1.0])
+def test_the_course_between_its_knots_is_the_way_that_the_part_takes(hand):
+    part = stage(alpha_deg=3.0, fixture_sigma_deg=0.1, hand_moves=hand)
     knots, directions = part.course()
     assert knots.tolist() == [0.0]
     assert directions == pytest.approx(at(part, 0).direction)
