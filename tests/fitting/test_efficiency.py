@@ -26,14 +26,13 @@ def test_ml_has_an_efficiency_of_98_per_cent_for_every_parameter(case):
 
 def test_mean_square_errors_alone_are_the_bound_within_their_interval():
     case = Case("stated", 12, 0.03)
-    rows = efficiency.run(case, 200, (12,))  # scripts/efficiency.py: 1500 sessions of each case
+    rows = efficiency.run(case, 100, (12,))  # scripts/efficiency.py: 1500 sessions of each case
     for value, half in efficiency.pooled([rows]):
         assert abs(value - 1) < 3.5 / 1.96 * half
 
 
-@pytest.mark.parametrize("fixture_deg", [0.03, 0.1])
-def test_least_squares_that_trusts_its_angles_is_seen_to_waste_information(fixture_deg):
-    case = Case("stated", 12, fixture_deg)
+def test_least_squares_that_trusts_its_angles_is_seen_to_waste_information():
+    case = Case("stated", 12, 0.03)
     found = efficiency.lines(case, efficiency.run(case, 100, (13,), "mmpm"))
     wasted = {line.parameter for line in found if "efficiency" in line.missed}
     assert {"delta_k", "scale_x", "scale_y"} <= wasted

@@ -9,7 +9,7 @@ import fit_statistics as statistics
 @pytest.mark.parametrize("name", list(statistics.SETUPS))
 def test_estimates_are_unbiased_efficient_and_their_intervals_true(name):
     setup = statistics.SETUPS[name]
-    rows = statistics.run(setup, 60, seed=3)
+    rows = statistics.run(setup, 40, seed=3)
     # Three and a half standard errors of so few sessions on top of the targets: 46 figures are looked at.
     lines = statistics.judge(setup, rows, slack=3.5)
     assert [line for line in lines if line.missed] == []

@@ -22,7 +22,7 @@ def test_dwells_without_pauses_scatter_as_barnes_says(dwells: int) -> None:
     assert difference @ covariance @ difference / 2 == pytest.approx(1.0)  # the Allan variance
 
 
-@pytest.mark.parametrize("pause_s", [0.0, 4.5, 12.0])
+@pytest.mark.parametrize("pause_s", [0.0, 12.0])
 def test_means_of_simulated_flicker_have_this_covariance(pause_s: float) -> None:
     draws, dwells, length = 1500, 16, 4.0
     begin = 5.0 + (length + pause_s) * np.arange(dwells)
@@ -114,13 +114,13 @@ def sessions_in_flicker(draws: int, seed: int) -> list[tuple[Session, np.ndarray
 
 def test_u_of_a_bias_is_for_its_mean_over_twice_the_session() -> None:
     off, near = [], []
-    for session, twice, once in sessions_in_flicker(120, 7):
+    for session, twice, once in sessions_in_flicker(60, 7):
         result = fit(session, method="ml")
         for name, defined, own in zip(("bias_x", "bias_y"), twice, once, strict=True):
             bias = result[name]
             off.append(abs(bias.value - defined) / bias.U)
             near.append((bias.value - own) / bias.u)
-    # 240 biases: the standard deviation of the share is 1.4 %.
-    assert np.mean(np.array(off) <= 1) == pytest.approx(0.95, abs=0.03)
+    # 120 biases: the standard deviation of the share is 2 %.
+    assert np.mean(np.array(off) <= 1) == pytest.approx(0.95, abs=0.045)
     # Sessions repeated at once scatter like the deviation from the mean over the session itself.
     assert 0.3 < np.std(near) < 0.6

@@ -77,7 +77,7 @@ def test_the_errors_of_the_attaining_estimator_have_the_covariance_of_the_bound(
 
 def test_the_written_out_covariance_of_flicker_is_that_of_the_simulator():
     rng = np.random.default_rng(6)
-    channels, dwells = 3000, 6
+    channels, dwells = 1000, 6
     begin, length = 15.0 * np.arange(dwells), 10.0
     times = begin[:, None] + np.arange(0, length, 1 / 16)
     flicker = Flicker(np.full(channels, 0.1), rng).at(times.ravel())

@@ -34,7 +34,7 @@ def paths(tmp_path_factory):
     """Return files of tumbles that each hide an effect."""
     folder = tmp_path_factory.mktemp("lacking")
     return [
-        record(folder / f"{seed}.session", seed, effect, dwell_s=2.0, smpl_prd=7)
+        record(folder / f"{seed}.session", seed, effect, dwell_s=2.0, smpl_prd=31)
         for seed, effect in enumerate(HIDDEN)
     ]
 

@@ -51,7 +51,7 @@ def test_more_lag_is_less_error_and_less_u():
     found = []
     for lag_s in (0.0, 0.6):
         off, u = [], []
-        for seed in range(5):
+        for seed in range(3):
             angles = told(AngleSmoother(sensing(SHAKEN), lag_s=lag_s), SHAKEN.drawn(seed))
             moving = during(angles, 4, 6)
             off.append(rms(errors(SHAKEN, angles)[moving]))
@@ -65,7 +65,7 @@ def test_more_lag_is_less_error_and_less_u():
 def test_u_is_honest_in_motion_and_at_rest(lag_s):
     rng = np.random.default_rng(5)
     squares: dict[str, list[float]] = {"motion": [], "rest": []}
-    for seed in range(20):  # scripts/smoother_statistics.py: a thousand
+    for seed in range(10):  # scripts/smoother_statistics.py: a thousand
         turning = Turning(
             rate_hz=100.0, turn_deg=float(rng.uniform(-200, 200)), zero_dps=float(rng.normal(0, 1)),
             scale=float(rng.normal(1, 0.01)), shake_mg=float(rng.uniform(0, 60)),

@@ -165,15 +165,15 @@ def test_gains_directions_zero_rates_and_g_sensitivity_are_covered_by_their_inte
     from adis_gonio.fitting.gyros.gyro_fit import fit_gyro_readings
 
     off = []
-    for seed in range(60):
+    for seed in range(30):
         data, truth = rates(seed, turned=bool(seed % 2))
         result = fit_gyro_readings(data)
         assert set(result.parameters) == set(truth)
         off += [(result[name].value - value) / result[name].u for name, value in truth.items()]
     off = np.array(off)
-    # 1170 values: ±1.3 % at 95 %.
-    assert 0.93 <= np.mean(np.abs(off) < 1.96) <= 0.97
-    assert np.sqrt((off**2).mean()) == pytest.approx(1.0, abs=0.07)
+    # 585 values: ±1.8 % at 95 %.
+    assert 0.925 <= np.mean(np.abs(off) < 1.96) <= 0.975
+    assert np.sqrt((off**2).mean()) == pytest.approx(1.0, abs=0.1)
 
 
 def test_what_the_poses_do_not_determine_is_left_out_and_said():
