@@ -73,59 +73,67 @@ def dask(folder: Path) -> Iterator[Dask]:
             program.kill()
 
 
-def test_a_worker_killed_in_the_middle_loses_nothing_and_changes_nothing(tmp_path, capsys):
-    write_fleet(tmp_path / "fleet", 10, seed=10)
-    out, journal = tmp_path / "a.json", tmp_path / "a.json.journal"
-    with dask(tmp_path) as cluster:
-        workers = [cluster.worker(), cluster.worker()]
-        command = [*FLEET, str(tmp_path / "fleet"), "--scheduler", cluster.address, "-o", str(out)]
-        with running(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as program:
-            until(journal, 3, program)
-            workers[0].kill()
-            at_death = len(kept_in(journal))
-            _, said = program.communicate(timeout=SOON_S)
-        assert program.returncode == 0, said
-        for one in workers:
-            one.kill()
-    assert at_death < 10, "it was killed after the work"
-    assert len(kept_in(journal)) == 10
-    assert main(["fleet", "--no-trace", str(tmp_path / "fleet"), "-o", str(tmp_path / "local.json")]) == 0
-    assert out.read_bytes() == (tmp_path / "local.json").read_bytes()
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory) -> Iterator[Dask]:
+    """A scheduler for all tests that leave it alive."""
+    with dask(tmp_path_factory.mktemp("dask")) as made:
+        yield made
 
 
-def test_a_worker_of_another_version_and_a_cluster_without_any_are_said(tmp_path, capsys):
+@pytest.fixture(scope="module")
+def worker(cluster) -> Iterator[subprocess.Popen[str]]:
+    """A worker that the tests from its first use on share; the first test needs a scheduler without one."""
+    started = cluster.worker(OPENBLAS_NUM_THREADS="1")
+    yield started
+    started.kill()
+
+
+def test_a_worker_of_another_version_and_a_cluster_without_any_are_said(tmp_path, cluster):
     files = write_fleet(tmp_path / "fleet", 1, seed=11)
     old = tmp_path / "old" / "adis_gonio"
     old.mkdir(parents=True)
     (old / "__init__.py").write_text('__version__ = "0.0.1"\n')
-    with dask(tmp_path) as cluster:
-        empty = subprocess.run(
-            [*FLEET, *files, "--scheduler", cluster.address],
-            capture_output=True, text=True, timeout=SOON_S, check=False,
-        )  # fmt: skip
-        worker = cluster.worker(PYTHONPATH=str(old.parent))
-        other = subprocess.run(
-            [*FLEET, *files, "--scheduler", cluster.address],
-            capture_output=True, text=True, timeout=SOON_S, check=False,
-        )  # fmt: skip
-        worker.kill()
+    empty = subprocess.run(
+        [*FLEET, *files, "--scheduler", cluster.address],
+        capture_output=True, text=True, timeout=SOON_S, check=False,
+    )  # fmt: skip
+    foreign = cluster.worker(PYTHONPATH=str(old.parent))
+    other = subprocess.run(
+        [*FLEET, *files, "--scheduler", cluster.address],
+        capture_output=True, text=True, timeout=SOON_S, check=False,
+    )  # fmt: skip
+    foreign.kill()
     assert (empty.returncode, other.returncode) == (1, 1)
     assert f"the scheduler at {cluster.address} has no worker: start some" in empty.stderr
     assert "adis-gonio 0.0.1, here is adis-gonio" in other.stderr
     assert "Traceback" not in empty.stderr + other.stderr
 
 
-def test_a_record_that_cannot_be_read_here_is_a_row_with_its_reason(tmp_path, monkeypatch):
+def test_a_worker_killed_in_the_middle_loses_nothing_and_changes_nothing(tmp_path, cluster, worker):
+    write_fleet(tmp_path / "fleet", 10, seed=10)
+    out, journal = tmp_path / "a.json", tmp_path / "a.json.journal"
+    killed = cluster.worker()
+    command = [*FLEET, str(tmp_path / "fleet"), "--scheduler", cluster.address, "-o", str(out)]
+    with running(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as program:
+        until(journal, 3, program)
+        killed.kill()
+        at_death = len(kept_in(journal))
+        _, said = program.communicate(timeout=SOON_S)
+    assert program.returncode == 0, said
+    assert at_death < 10, "it was killed after the work"
+    assert len(kept_in(journal)) == 10
+    assert main(["fleet", "--no-trace", str(tmp_path / "fleet"), "-o", str(tmp_path / "local.json")]) == 0
+    assert out.read_bytes() == (tmp_path / "local.json").read_bytes()
+
+
+def test_a_record_that_cannot_be_read_here_is_a_row_with_its_reason(tmp_path, monkeypatch, cluster, worker):
     class Foreign:  # such as a number of another version of NumPy
         def __reduce__(self):
             return eval, ("1 / 0",)
 
     monkeypatch.setattr("adis_gonio.fleet.workers.work", lambda *_: Foreign())
-    with dask(tmp_path) as cluster:
-        worker = cluster.worker()
-        with Cluster(cluster.address) as client:
-            (record,) = client.results([Job("a.csv", "0")], Options())
-        worker.kill()
+    with Cluster(cluster.address) as client:
+        (record,) = client.results([Job("a.csv", "0")], Options())
     assert record.reason == "a.csv: its workers failed: division by zero"
 
 
@@ -149,19 +157,17 @@ def test_a_scheduler_that_goes_away_ends_the_run_with_a_line_and_what_was_done_i
     assert len(kept_in(journal)) >= 2
 
 
-def test_the_joint_traces_of_the_page_run_on_a_cluster_and_are_those_of_this_process(tmp_path):
+def test_the_joint_traces_of_the_page_run_on_a_cluster_and_are_those_of_this_process(
+    tmp_path, cluster, worker
+):
     files = write_fleet(tmp_path / "fleet", 4, seed=13)
     sessions = [files[:2], files[2:]]
     (block,) = (
         text for text in re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
         if "trace_sessions" in text
     )  # fmt: skip
-    with dask(tmp_path) as cluster:
-        workers = [cluster.worker(OPENBLAS_NUM_THREADS="1") for _ in sessions]
-        names = {"sessions": sessions}
-        exec(block.replace("tcp://127.0.0.1:8786", cluster.address), names)
-        for one in workers:
-            one.kill()
+    names = {"sessions": sessions}
+    exec(block.replace("tcp://127.0.0.1:8786", cluster.address), names)
     here = trace_sessions([load_session(file) for file in sessions[1]]).as_dict()
     assert len(names["results"]) == 2
     assert json.dumps(names["results"][1]) == json.dumps(here)

@@ -85,7 +85,7 @@ def test_sessions_from_their_samples_agree() -> None:
     """Whole sessions by the tests' own physics, 0.45 mg of hysteresis in every second one."""
     rng = np.random.default_rng(21)
     term = catalogued_term("hysteresis", "y", 0.0).scaled(0.12)
-    every = [evidence_with(rng, [term] if i % 2 else []) for i in range(60)]
+    every = [evidence_with(rng, [term] if i % 2 else []) for i in range(40)]
     result = trace_population([replace(one, source=f"{i}") for i, one in enumerate(every)])
     assert names(result) == [("hysteresis",)]
     value = result.found[0].mean["hysteresis_y"]

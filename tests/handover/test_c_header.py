@@ -94,11 +94,16 @@ def on_host(tmp_path_factory):
     return shown
 
 
-@pytest.mark.parametrize("machine", [one.name for one in MACHINES])
-@pytest.mark.parametrize(
-    ("kind", "n"),
-    [("curved", ON_MACHINES), *((kind, OTHERS) for kind in KINDS if kind != "curved")],
-)
+RUNS = [
+    (kind, ON_MACHINES if kind == "curved" else OTHERS, machine.name)
+    for kind in KINDS
+    for machine in MACHINES
+    # The other kinds have the operations of "curved" with other numbers: compilers of this host are enough.
+    if not machine.runner or kind in ("curved", "every effect", "space", "counts")
+]
+
+
+@pytest.mark.parametrize(("kind", "n", "machine"), RUNS)
 def test_every_machine_gives_the_bits_of_the_host_and_float_within_its_bound(
     tmp_path, on_host, machine, kind, n
 ):
