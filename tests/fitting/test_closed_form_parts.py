@@ -331,7 +331,9 @@ def test_readings_that_are_too_rough_for_ml_have_the_closed_form_where_angles_ar
 
 @pytest.mark.parametrize("angles", [(30.0,), (30.0, 30.0), (30.0, 390.0, 30.05)])
 def test_one_position_is_no_calibration(angles: tuple[float, ...]) -> None:
-    with pytest.raises(FitError, match=r"one position only \(position 0\): .* two positions, 0° and 90°"):
+    with pytest.raises(
+        FitError, match=r"one position only \([123] dwells?\): .* two positions, 0° and 90°"
+    ):
         fit_readings(turned(angles))
     lost = replace(turned(angles[:1]), angle_rad=np.full(1, np.nan))
     with pytest.raises(FitError, match="one position only"):

@@ -438,7 +438,7 @@ def test_applicable_methods_follow_the_positions():
         ("four-position", (0, 90), "180, 270 are missing"),
         ("mmpm", range(0, 360, 45), "nine or more positions with a declared angle, there are 8"),
         ("ml", (30,), "one position only"),
-        (None, (30, 30, 30), "one position only"),
+        (None, (30, 30, 30), "one position only (3 dwells)"),
         ("two-position", (0,), "one position only"),
     ],
 )

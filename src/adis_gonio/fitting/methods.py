@@ -644,9 +644,7 @@ def fit_readings(readings: Readings, method: str | None = None) -> FitResult:
     alike = len(declared) == n and bool(np.abs(wrap_radians(declared - declared[0])).max() < 1e-3)
     if n == 1 or (alike and not spatial):
         needs = "six positions in space" if spatial else "two positions, 0° and 90°, better four"
-        raise FitError(
-            f"one position only (position {readings.position[0]}): a calibration needs at least {needs}"
-        )
+        raise FitError(f"one position only ({counted(n, 'dwell')}): a calibration needs at least {needs}")
     if method is None:
         try:
             return readings.once(fit_readings, default_method(readings))

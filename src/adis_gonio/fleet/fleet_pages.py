@@ -89,13 +89,13 @@ def _overview(summary: Summary) -> Section:
     if n["traced"]:
         share = format_percent(n["adequate"] / n["traced"])
         key.append(KeyFigure("Model adequate", share, "of the sessions traced"))
-        traced = f"{n['traced']} were traced; the model is adequate in {n['adequate']} of them."
+        traced = f"{counted(n['traced'], 'session')} traced; the model is adequate in {n['adequate']}."
     key.append(KeyFigure("Outlying", str(len(summary.outlying)), "units, stages, operators by quantity"))
     failed, doubted, unnamed = (counted(n[of], "session") for of in ("failed", "doubted", "without_serial"))
     words = [f"{failed} failed."] if n["failed"] else []
     words.append(traced)
     if n["doubted"]:
-        words.append(f"{doubted} contain readings that the operator kept against a warning.")
+        words.append(f"{doubted} with readings that the operator kept against a warning.")
     if n["without_serial"]:
         words.append(f"{unnamed} without a serial number: each counts as a unit.")
     return Section("Summary", key=key, words=words)

@@ -471,8 +471,7 @@ def leave_each_out(fits: Sequence[Fit]) -> tuple[list[list[HeldOut]], str]:
     columns = _parameters(last)
     if any(last.again(data.rows(~mask)).used < columns for mask in singles):
         return [[] for _ in fits], (
-            f"the model has {columns} parameters: {len(data) - 1} dwells do not determine it, so that none "
-            "could be held out"
+            f"the model has {columns} parameters, too many for the other dwells: none could be held out"
         )
     design = f"each of {len(data)} dwells in turn, effects kept: the others are too few to choose any from"
     designs = {design: singles}
