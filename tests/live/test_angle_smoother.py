@@ -1,7 +1,7 @@
 """The smoothed angle in turns of which the truth is known: shaking, gaps, ends of ranges, hours."""
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -79,6 +79,14 @@ def test_u_is_honest_in_motion_and_at_rest(lag_s):
         mean, u = np.mean(each), np.std(each, ddof=1) / np.sqrt(len(each))
         assert mean + 3 * u > 0.6, name
         assert mean - 3 * u < 1.3, name
+
+
+def test_the_accelerometers_one_over_f_noise_is_in_u():
+    plain = sensing(SHAKEN)
+    ways = [AngleSmoother(replace(plain, drift_mg=floor), lag_s=0.2) for floor in (0.0, 0.5)]
+    quiet, drifting = (told(way, SHAKEN.drawn(3), every=100)[-1].u_deg for way in ways)
+    # 17 octaves with half the square of the floor each, of 1000 mg.
+    assert drifting**2 - quiet**2 == pytest.approx(np.degrees(0.5e-3 * np.sqrt(17 / 2)) ** 2, rel=0.1)
 
 
 def test_samples_in_other_blocks_give_the_same_angles():

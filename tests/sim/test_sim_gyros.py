@@ -93,6 +93,21 @@ def test_a_gyro_warms_up_after_power_on():
     assert rest(sensor, 400)[0] == pytest.approx([0.0] * 3, abs=0.02)
 
 
+def test_the_truth_of_a_time_follows_warm_up_walk_and_the_temperature_of_the_gains():
+    quiet = {"gyro_noise_dps": 0.0, "temperature_noise_c": 0.0}
+    warm = {"powered_s": 30.0, "gyro_warm_up_tau_s": 30.0, "gyro_warm_up_x_dps": 2.0, "ambient_c": 35.0}
+    gains = {"gyro_scale_z": 1.02, "gyro_scale_tempco_z_ppm_per_c": 1000.0}
+    walk = {"gyro_rate_walk_dps_per_rt_s": 0.5}
+    world = World(WorldSettings(**(PERFECT | quiet | warm | gains | walk)), seed=1)
+    time_s = np.arange(0, 4, 1 / 16)
+    rates = world.sample(time_s).gyro_dps
+    assert rates[0, 0] == pytest.approx(2.0 * np.exp(-1))
+    truth = world.truth(time_s)
+    assert [truth[f"gyro_bias_{axis}"] for axis in "xyz"] == pytest.approx(rates.mean(axis=0))
+    assert truth["gyro_scale_z"] == pytest.approx(1.02 * 1.01)
+    assert truth["gyro_scale_error_z"] == pytest.approx(1.02 * 1.01 - 1)
+
+
 def test_the_supply_moves_each_gyro_by_its_own():
     sensor = part(gyro_supply_x_dps_per_v=3.0, gyro_supply_z_dps_per_v=-2.0)
     sensor.bus.world.bring_to(sensor.bus.now_s(), supply_v=5.2)

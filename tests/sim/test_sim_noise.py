@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.sim import World, WorldSettings
-from adis_gonio.sim.noise import Flicker
+from adis_gonio.sim.noise import Flicker, RateWalk
 
 RATE = 819.2
 
@@ -81,6 +81,23 @@ def test_flicker_has_no_steps_between_the_points_of_its_grid():
     values = Flicker(np.ones(1), np.random.default_rng(8)).at(times)[:, 0]
     for k in range(0, len(values) - 4, 4):  # a grid of 1/16 s
         assert values[k : k + 5] == pytest.approx(np.linspace(values[k], values[k + 4], 5))
+
+
+def test_a_rate_walk_has_steps_of_its_size_and_never_jumps():
+    walk = RateWalk(2.0, np.random.default_rng(5))
+    values = walk.at(np.arange(0, 300, 1 / 16))
+    assert values[0].tolist() == [0.0] * 3
+    steps = np.diff(values, axis=0)
+    assert steps.std() == pytest.approx(2.0 / 4, rel=0.03)
+    assert np.abs(steps).max() < 6 * 2.0 / 4
+
+
+def test_past_values_are_those_of_the_nearest_points_that_were_reached():
+    walk = RateWalk(2.0, np.random.default_rng(5))
+    assert walk.past_values(np.array([1.0])).shape == (0, 3)
+    values = walk.at(np.array([10.0, 10 + 1 / 16, 10 + 2 / 16]))
+    near = np.array([9.0, 10.01, 10.02, 10.04, 10.12, 1e6])
+    assert walk.past_values(near).tolist() == values.tolist()
 
 
 def test_other_seeds_give_other_noise():
