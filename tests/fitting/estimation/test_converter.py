@@ -13,7 +13,7 @@ from adis_gonio import fit, trace
 from adis_gonio.base.errors import DataError
 from adis_gonio.fitting.estimation import screening as module
 from adis_gonio.fitting.estimation.readings import readings_of
-from adis_gonio.fitting.estimation.screening import converter_of, steps_of
+from adis_gonio.fitting.estimation.screening import converter_of, is_lively, steps_of
 from adis_gonio.model.records import Dwell, Session
 
 LSB_MG = 0.4672
@@ -180,6 +180,18 @@ def test_a_pile_of_twenty_five_times_as_high_as_its_neighbour_is_a_limit(
         (limit,) = limits
         assert (limit.axis, limit.value, limit.samples, limit.inside) == (0, sign * 41, at_limit, inside)
         assert limit.positions == (3,)
+
+
+def test_noise_counts_only_if_it_is_larger_than_an_edge_between_two_codes_can_show() -> None:
+    edge = np.tile([0.0, 4.0], 100)  # half of the samples on each side: half a step rms
+    noise = np.tile([-4.0, 0.0, 0.0, 4.0, 0.0], 40)  # 0.63 steps
+    steps = np.array([4.0, 4.0, 0.0])
+    samples = np.column_stack([edge, noise, np.zeros(200)])
+    assert is_lively([samples], steps).tolist() == [False, True, False]
+    # The median of the dwells decides.
+    still = np.zeros((200, 3))
+    assert is_lively([samples, samples, still], steps).tolist() == [False, True, False]
+    assert is_lively([samples, still, still], steps).tolist() == [False, False, False]
 
 
 def test_few_values_show_no_limit() -> None:
