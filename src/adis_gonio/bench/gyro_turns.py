@@ -140,9 +140,9 @@ class GyroTurn(FollowedTurn):
         return move is not None
 
     @property
-    def across_deg(self) -> float:
-        """Angle turned about axes other than the vertical, in degrees."""
-        return float(np.linalg.norm(self.angle_deg - self.sweeps.angle_deg * self._up))
+    def across_deg(self) -> Floats:
+        """Turn (3,) so far about the sensor's axes without its part about the vertical, in degrees."""
+        return np.asarray(self.angle_deg - self.sweeps.angle_deg * self._up)
 
     def see(self, block: Block) -> None:
         """Integrate the rates of a block and update the turn."""
@@ -290,8 +290,8 @@ def judge_whole_turn(turn: GyroTurn, found: Integral | str) -> Guard | None:
         if "range" in found:
             kind = "over_range"
         return Guard(kind, f"{found}; bring it back to the mark and turn again", values, spoils=True)
-    if turn.across_deg > max(0.2 * abs(turned), 2 * OFF_DEG):
-        about = AXES[int(np.argmax(np.abs(turn.angle_deg)))]
+    if np.linalg.norm(turn.across_deg) > max(0.2 * abs(turned), 2 * OFF_DEG):
+        about = AXES[int(np.argmax(np.abs(turn.across_deg)))]
         message = f"turned about {about}, not about the vertical: leave the part flat on the table"
         return Guard("wrong_axis", message, values, spoils=True)
     off = turned - 360.0 * round(turned / 360.0)
