@@ -429,7 +429,7 @@ def test_counts_that_show_no_scale_are_refused_with_the_name_of_the_file():
 
 def test_samples_without_noise_have_a_repeatability_of_nothing():
     rng = np.random.default_rng(32)
-    for _ in range(20):
+    for _ in range(8):
         alpha = rng.uniform(0, 2 * math.pi)
         held = [
             Dwell(

@@ -125,7 +125,7 @@ def test_words_that_have_lost_bits_are_quantization_and_not_stuck(bits: int) -> 
 
 def test_uncertainties_of_words_that_have_lost_bits_hold() -> None:
     z = []
-    for seed in range(40):
+    for seed in range(25):
         rng = np.random.default_rng(100 + seed)
         bias = rng.uniform(0, 16, 2)  # another place on the staircase each time
         rows = turn(rng, bias=(float(bias[0]), float(bias[1])))
@@ -141,7 +141,7 @@ def test_the_step_of_a_healthy_sensor_is_no_finding(noise: float) -> None:
     from adis_gonio.tracing.within.samples import samples_of
     from adis_gonio.tracing.within.second_pass import correlation_reach
 
-    for seed in range(60):
+    for seed in range(30):
         whole = session(turn(np.random.default_rng(200 + seed), noise=noise))
         data = readings_of(whole)
         samples = samples_of(whole, data)
