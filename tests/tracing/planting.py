@@ -65,6 +65,7 @@ def limits(name: str) -> dict:
     return trace(load_session(MEASURED / f"{name}.csv.gz")).as_dict()["detectable"]
 
 
+@functools.cache
 def planted(name: str, kind: str, seed: int) -> Planted | None:
     """Plant one effect in a recording and trace the result; None if the recording cannot show the kind."""
     source = MEASURED / f"{name}.csv.gz"

@@ -14,7 +14,7 @@ from adis_gonio import load_session, trace
 from adis_gonio.faces.cli import main
 from tracing.recorded import record
 
-SLOWER = {"smpl_prd": 7}
+SLOWER = {"smpl_prd": 31}
 TWO_EFFECTS = ("quadratic:k2_x=3", "backlash:backlash=0.15")
 
 
@@ -38,7 +38,7 @@ def test_slow_noise_is_no_effect(tmp_path, seed: int) -> None:
 
 
 def test_a_drift_beside_slow_noise_is_found(tmp_path) -> None:
-    result = traced(tmp_path, 2004, "bias_drift:drift_y=1.5", **SLOWER)
+    result = traced(tmp_path, 2004, "bias_drift:drift_y=1.5", smpl_prd=7)
     assert found(result) == {"bias", "bias_drift"}
     assert result["unnamed"] is None
     drift = next(e for e in result["found"] if e["effect"] == "bias_drift")["parameters"]["drift_y"]

@@ -91,6 +91,7 @@ def test_the_true_effect_put_in_has_the_amplitude_that_the_free_trace_found() ->
 def test_without_the_true_effect_its_rival_is_in_the_sets() -> None:
     data = turned(6, quadratic=1.5)
     free = trace_readings(data)
+    assert "what_if" not in free.as_dict()
     assert "quadratic" in {name for one in free.sets for name in one.names}
     result = trace_readings(data, request=AskedModel(exclude=("quadratic",)))
     names = {name for one in result.sets for name in one.names}
@@ -362,11 +363,9 @@ def test_the_comparison_is_printed_in_80_columns(
     assert "(not different from zero)" in text
 
 
-def test_the_document_has_the_comparison_only_if_asked(
+def test_the_document_has_the_comparison_if_asked(
     session: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["trace", str(session), "--json"]) == 0
-    assert "what_if" not in json.loads(capsys.readouterr().out)
     assert main(["trace", str(session), "--json", "--with", "quadratic:x", "--with", "bias", "--only"]) == 0
     found = json.loads(capsys.readouterr().out)["what_if"]
     assert found["with"] == ["quadratic:x", "bias"]
