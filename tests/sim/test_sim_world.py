@@ -1,5 +1,6 @@
 """The world: what an axis reads, temperature, supply, hidden parameters, effects, settings."""
 
+import math
 import re
 from dataclasses import dataclass, fields
 from typing import ClassVar
@@ -128,6 +129,35 @@ def test_gyros_feel_the_move_acceleration_and_supply():
 def test_the_supply_drifts():
     world = silent(supply_v=5.0, supply_drift_v_per_h=0.1)
     assert world.sample(np.array([0.0, 3600.0])).supply_v == pytest.approx([5.0, 5.1])
+
+
+def test_a_change_of_temperature_takes_a_minute_and_a_change_of_supply_none():
+    world = silent(ambient_drift_c_per_h=36.0)  # 0.01 °C a second
+    world.bring_to(100.0, temperature_c=41.0, supply_v=5.2)
+    times = np.array([0.0, 99.9, 100.0, 160.0, 1e4])
+    drift = 25.0 + 0.01 * times
+    changed = 15.0 * np.array([0, 0, 0, 1 - np.exp(-1), 1])
+    assert world.temperature_c(times) == pytest.approx(drift + changed, abs=1e-3)
+    assert world.supply_v(times) == pytest.approx([5.0, 5.0, 5.2, 5.2, 5.2])
+
+
+def test_a_table_shakes_most_in_the_first_dwell_and_evenly_within_each():
+    world = silent([(Everything(), ())], noise_mg=3.0, table_vibration_mg=4.0)
+    Everything.seen.clear()
+    first = world.sample(np.arange(4000) / 819.2)
+    assert first.accel_mg.std(axis=0) == pytest.approx(5.0, rel=0.05)
+    assert Everything.seen[0].variance_mg2 == pytest.approx(25.0)
+    now, ends = 5.0, []
+    for k in range(100):
+        now = world.stage.move_to(now, 10.0 * (k % 2)) + 3.0
+        ends.append(now - 3.0)
+    Everything.seen.clear()
+    world.sample(np.add.outer(ends, [1.0, 2.0]).ravel())
+    variance = Everything.seen[0].variance_mg2[:, 0].reshape(100, 2)
+    assert np.ptp(variance, axis=1).tolist() == [0.0] * 100
+    levels = np.sqrt(variance[1:, 0] - 9.0)  # the first move goes to position 0
+    assert np.mean(levels) == pytest.approx(2.0, abs=4 * 4 / math.sqrt(12 * 100))
+    assert levels.max() <= 4.0
 
 
 def test_the_truth_has_the_names_of_a_fit_and_what_was_given():
