@@ -233,9 +233,8 @@ def free_turn_plan(turns: int = TURNS, duration_s: float = DURATION_S) -> Plan:
     """
     if turns < 1:
         raise UsageError(f"turns is {turns}: take 1 or more")
-    rate_dps = 360.0 * turns / (duration_s - 2 * REST_S)
-    if not 0 < rate_dps <= FASTEST_DPS:
-        least_s = 360.0 * turns / FASTEST_DPS + 2 * REST_S
+    least_s = 360.0 * turns / FASTEST_DPS + 2 * REST_S
+    if not least_s <= duration_s < math.inf:
         raise UsageError(
             f"{counted(turns, 'turn')} in {duration_s:g} s, rests included, cannot be slow: take"
             f" {least_s:.0f} s or more (--duration), or fewer turns"

@@ -1,13 +1,16 @@
-"""Whole turns on a table: when they end, and how a turn that was not whole is named."""
+"""Turns on a table and by hand: when they end, and how a turn that was not whole is named."""
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from adis_gonio.base.errors import UsageError
 from adis_gonio.bench.gyro_turns import GyroTurn, judge_whole_turn
+from adis_gonio.bench.recorder import FreeTurn, free_turn_plan
 from adis_gonio.record.blocks import ValueBlock
 from adis_gonio.record.plans import Position
 
@@ -109,3 +112,60 @@ def test_a_turn_ends_after_a_rest_that_is_longer_before_it_is_whole(angle_deg, r
     turn = turned((0.0, 0.0, angle_deg))
     turn.see(samples(11.0, rest_s))
     assert turn.ended == ended
+
+
+# -- by hand, in the plane of gravity --------------------------------------------------------------------
+
+
+def freely(*legs: tuple[float, float], turns: int = 1) -> FreeTurn:
+    """Return a free turn by angles that are reached in some seconds each, in blocks of 0.25 s."""
+    turn, angle_deg, time_s = FreeTurn(0, turns, 60.0, ("", 0.0)), 30.0, 0.0
+    for by_deg, length_s in legs:
+        count = round(4 * length_s)
+        for _ in range(count):
+            angle_deg, time_s = angle_deg + by_deg / count, time_s + 0.25
+            # Gravity turns backwards in the part.
+            accel_mg = [
+                1000 * math.cos(math.radians(angle_deg)),
+                -1000 * math.sin(math.radians(angle_deg)),
+                9.0,
+            ]
+            turn.add(ValueBlock(COLUMNS[:3], np.tile(accel_mg, (2, 1)), np.array([time_s - 0.1, time_s])))
+    return turn
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_a_free_turn_is_counted_by_gravity_counter_clockwise_positive(sense):
+    turn = freely((0.0, 1.0), (sense * 400.0, 10.0))
+    assert turn.sweeps.angle_deg == pytest.approx(sense * 400.0)
+    assert turn.rate_dps == pytest.approx(sense * 40.0)
+    assert turn.full
+    assert turn.ended is None
+    assert freely((0.0, 1.0), (sense * 350.0, 10.0)).full is False
+
+
+@pytest.mark.parametrize(
+    ("legs", "turns", "ended"),
+    [
+        (((370.0, 10.0), (0.0, 2.5)), 1, None),
+        (((370.0, 10.0), (0.0, 3.0)), 1, ""),
+        (((370.0, 10.0), (0.6, 3.0)), 1, None),  # it rests if it turns by less than 0.5° in 3 s
+        (((370.0, 10.0), (0.4, 3.0)), 1, ""),
+        (((370.0, 10.0), (0.0, 9.0)), 2, None),
+        (((370.0, 10.0), (370.0, 10.0), (0.0, 3.0)), 2, ""),
+        (((0.0, 60.0),), 1, None),
+        (((0.0, 60.25),), 1, ""),
+    ],
+)
+def test_a_free_turn_ends_at_rest_after_its_turns_or_at_its_limit(legs, turns, ended):
+    assert freely(*legs, turns=turns).ended == ended
+
+
+@pytest.mark.parametrize(("turns", "least_s"), [(1, 14.0), (2, 22.0), (5, 46.0)])
+def test_a_plan_of_free_turns_allows_45_degrees_a_second_between_two_rests_of_three_seconds(turns, least_s):
+    assert free_turn_plan(turns, least_s).turns == turns
+    for length_s in (least_s - 0.1, 6.0, 1.0, math.inf):  # 6 s are the rests alone
+        with pytest.raises(UsageError, match=f"take {least_s:.0f} s or more"):
+            free_turn_plan(turns, length_s)
+    with pytest.raises(UsageError, match="take 1 or more"):
+        free_turn_plan(0)
