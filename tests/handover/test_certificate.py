@@ -14,7 +14,9 @@ from adis_gonio import Calibration, fit, load_session
 from adis_gonio.base.conformity import Tolerance
 from adis_gonio.base.errors import FitError
 from adis_gonio.calibrate import NotCorrected
+from adis_gonio.handover.c_header import c_header
 from adis_gonio.handover.certificate import SI_UNITS, certificate_text
+from adis_gonio.handover.register_offsets import registers_text
 from adis_gonio.model.effects import BUILT_IN, effect
 from handover.calibrations import CURVED, EVERY, PLANE, SPACE, calibration, of_counts
 from handover.dcc_structure import DCC, SI, judge
@@ -113,6 +115,15 @@ def test_numbers_and_dates_are_those_of_a_fit_with_few_readings_over_midnight(tm
         most = max(value.k for value in result.parameters.values())
         assert float(root.find(f".//{SI}coverageFactorXMLList").text) == pytest.approx(most, abs=1e-4)
         assert root.find(f".//{SI}distributionXMLList").text == "t"
+
+
+def test_the_values_are_stated_with_their_temperature():
+    plain, heated = calibration(PLANE), calibration(PLANE, {"bias_temperature": (0.31, 0.4)})
+    assert "acceleration, at 25 °C and 5 V." in certificate_text(heated)
+    assert "acceleration, at the session's mean conditions." in certificate_text(plain)
+    assert "hold at 25 °C and 5 V" in registers_text(heated)
+    assert "hold at the session's mean conditions" in registers_text(plain)
+    assert "gravity: the values hold at 25 degC and 5 V" in c_header(heated)
 
 
 def test_what_nobody_stated_is_not_invented():

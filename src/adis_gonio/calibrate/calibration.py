@@ -137,6 +137,12 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
         return ()
 
     @property
+    def holds_at(self) -> str:
+        """Text with the temperature and supply at which the values of the parameters hold."""
+        known = {"temperature_c", "supply_v"} & {*self.needs}
+        return f"{REFERENCE_C:g} °C and {REFERENCE_V:g} V" if known else "the session's mean conditions"
+
+    @property
     def values(self) -> Floats:
         """Values (p,) of the parameters."""
         return np.array([one.value for one in self.parameters])

@@ -81,6 +81,7 @@ def _content(calibration: Calibration, name: str) -> dict[str, Any]:
         u_udeg = int(np.ceil(calibration.error_curves(stage=False)[1].u_deg.max() * 1e6))
     return {
         "c": _whole,
+        "comment": _comment,
         "single": _single,
         "numbers": fixed_point,
         "name": name,

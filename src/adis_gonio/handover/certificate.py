@@ -288,7 +288,7 @@ def _statements(calibration: Calibration) -> list[str]:
         f"Made by a program and not signed; not stated: {', '.join([*unknown, 'country (code ZZ)'])}; "
         "no traceability is claimed beyond the declared angles of the stage.",
         "Readings are U = diag(K) D g + b: sensitivities relative to the nominal one, skews as 90° less "
-        "the angle between two axes, biases as readings without acceleration.",
+        f"the angle between two axes, biases as readings without acceleration, at {calibration.holds_at}.",
     ]
     if not where.recorded_utc:
         texts.append("The date of recording is not stated; the dates are the date of issue.")
@@ -298,7 +298,7 @@ def _statements(calibration: Calibration) -> list[str]:
     if gyro is not None:
         texts.append(
             "Gyros read K D ω + b + G f: zero rates b without acceleration, sensitivities relative to the "
-            "nominal one, f the readings of the accelerometers."
+            f"nominal one, f the readings of the accelerometers, at {gyro.holds_at}."
         )
         if gyro.assumed:
             texts.append(f"Not determined and taken as nominal: {', '.join(gyro.assumed)}.")
