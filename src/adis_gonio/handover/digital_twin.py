@@ -140,22 +140,19 @@ class TermEffect(Effect):
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Return the contribution of the term to the readings, in mg (n, axes)."""
-        added = np.zeros_like(ideal)
-        known = ideal[:, : self.data.axes]
-        added[:, : self.data.axes] = self.term.added(values, known, self._seen(conditions))
-        return added
+        added = self.term.added(values, ideal[:, : self.data.axes], self._seen(conditions))
+        return np.pad(added, ((0, 0), (0, ideal.shape[1] - self.data.axes)))
 
     def _seen(self, conditions: Conditions) -> Conditions:
-        measured = self.data.conditions
-        variance = measured.variance_mg2
-        if variance is not None and conditions.order is not None:
-            variance = variance[np.minimum(conditions.order.astype(np.intp), len(variance) - 1)]
+        measured, variance = self.data.conditions, None
+        if measured.variance_mg2 is not None and conditions.order is not None:
+            variance = np.take(measured.variance_mg2, conditions.order.astype(np.intp), mode="clip")
         return replace(
             conditions,
             time_s=conditions.time_s - self.offset_s,
             temperature_history=measured.temperature_history,
             load_history=measured.load_history,
-            variance_mg2=None if conditions.order is None else variance,
+            variance_mg2=variance,
         )
 
 
@@ -199,13 +196,11 @@ class LikeWorld(World):
         self._white_sd[:3] = noise.white_mg.mean()
         self._white_sd[: data.axes] = noise.white_mg
         self._white_sd[3:6] = self.variant.performance.gyro_noise_dps
-        floor = np.zeros(3)
+        floor = np.zeros(6)
         floor[: data.axes] = noise.floor_mg
         own = np.random.SeedSequence((seed, 1)).spawn(2)
         self._white = np.random.default_rng(own[0])
-        self._flicker = Flicker(
-            np.array([*floor, 0.0, 0.0, 0.0]), np.random.default_rng(own[1]), start_s=-10.0
-        )
+        self._flicker = Flicker(floor, np.random.default_rng(own[1]), start_s=-10.0)
         self._temperature_offset = np.zeros(3)
 
     def temperature_c(self, time_s: Floats) -> Floats:
@@ -223,6 +218,10 @@ class LikeWorld(World):
         return np.interp(time_s - self._offset_s, conditions.time_s, conditions.supply_v)
 
 
+_MOVE_DPS = 1e5
+"""Speed of a move in °/s: the simulated stage has no part in the time between two dwells."""
+
+
 def _settings(fit: Fit) -> WorldSettings:
     data = fit.data
     by_axis = ("bias_{}_mg", "bias_tempco_{}_mg_per_c", "scale_tempco_{}_ppm_per_c")
@@ -232,6 +231,7 @@ def _settings(fit: Fit) -> WorldSettings:
         "gravity_mps2": data.gravity_mg * STANDARD_GRAVITY_MPS2 / 1000,
         "fixture_sigma_deg": math.degrees(data.fixture_rad) if math.isfinite(data.fixture_rad) else 0.0,
         "scale_z": 1.0,
+        "move_speed_dps": _MOVE_DPS,
     }
     own = {
         (f"{p.name}_deg" if p.unit == "deg" else p.name): p.stated(float(value))
@@ -255,8 +255,7 @@ def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
     """Return a session of accelerometers simulated by a traced model.
 
     The sensor is read through the driver, frame by frame. If the times of the measured session leave too
-    little time for a move of the stage, the later dwells of the simulated session are delayed by the
-    duration of the move.
+    little time for the filter to settle, the later dwells of the simulated session are delayed.
 
     Parameters
     ----------
@@ -293,10 +292,8 @@ def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
                 gravity = [np.cos(psi), np.sin(psi), 0.0] if data.planar else fit.values.attitude[k]
                 bus.stage.orient([float(value) for value in gravity])
             start_s = float(dwell.time_s[0]) - begin_s + _OPENING_S
-            settle_s = sensor.configuration().settling_s
-            bus.sleep_s(max(start_s - bus.now_s(), settle_s, 0.5))
-            length_s = float(dwell.time_s[-1] - dwell.time_s[0])
-            count = max(2, round(length_s / period_s) + 1)
+            bus.sleep_s(max(start_s - bus.now_s(), sensor.configuration().settling_s))
+            count = max(2, round(float(dwell.time_s[-1] - dwell.time_s[0]) / period_s) + 1)
             block = sensor.read_scans(count, _REGISTERS, block_scans=_BLOCK_SCANS)
             dwells.append(
                 replace(
