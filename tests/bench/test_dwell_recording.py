@@ -1,0 +1,73 @@
+"""The recording of a dwell: the samples that belong to it, and the time at which it is complete."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from adis_gonio.bench.dwell_recorder import Recording
+from adis_gonio.record.blocks import ValueBlock
+from adis_gonio.record.plans import Position
+
+
+def recording(seconds: float, *, still_at: int | None = None) -> Recording:
+    """Return a recording at 100 Hz in blocks of 60 samples, of which each misses two samples.
+
+    The dwell lasts 1 s and begins 0.5 s after a still window, which ends before sample `still_at`.
+    """
+    made = Recording(3, Position(90.0), ("2026-05-04T10:00:00Z", 7.0), 1.0, 0.5, 0.01)
+    count = round(100 * seconds)
+    for begin in range(0, count, 60):
+        numbers = np.arange(begin, min(begin + 60, count))
+        data = np.column_stack([numbers, numbers, numbers]).astype(float)
+        made.add(ValueBlock(("ax", "ay", "az"), data, 7.0 + numbers / 100, 2))
+        if still_at is not None and begin + 60 >= still_at:
+            made.still(still_at)
+            made.try_begin()
+    return made
+
+
+def test_a_dwell_has_the_samples_of_its_length_from_the_end_of_settling_on():
+    made = recording(3.0, still_at=100)  # the last still sample is 99, so that the dwell begins at 149
+    assert made.begin == 149
+    assert made.samples == 100
+    assert made.scans().accel_mg[:, 0].tolist() == list(range(149, 249))
+    assert (made.waited_s, made.elapsed_s) == (pytest.approx(2.99), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "checked", "complete"),
+    [(2.49, 249, False), (2.5, 249, True), (2.5, 248, False), (2.0, 200, False)],
+)
+def test_a_dwell_is_complete_when_its_last_sample_was_checked_and_the_next_has_come(
+    seconds, checked, complete
+):
+    assert recording(seconds, still_at=100).complete(checked) == complete
+
+
+def test_a_dwell_waits_for_a_still_window_and_for_the_settling_after_it():
+    assert not recording(5.0).begun
+    assert not recording(1.49, still_at=100).begun
+    made = recording(1.5, still_at=100)
+    assert (made.begun, made.samples, made.elapsed_s) == (True, 1, 0.0)
+    assert not made.try_begin(), "it has begun"
+    made = recording(1.0, still_at=100)
+    assert made.is_still
+    made.moving("x varies")
+    assert (made.is_still, made.why_moving, made.try_begin()) == (False, "x varies", False)
+
+
+def test_samples_are_archived_before_in_and_after_the_dwell_and_lost_ones_count_once():
+    blocks = recording(3.0, still_at=100).attempt("complete", 10.0).blocks
+    assert [(phase, len(block), block.lost) for phase, block in blocks] == [
+        ("before", 60, 2),
+        ("before", 60, 2),
+        ("before", 29, 0),
+        ("dwell", 31, 2),
+        ("dwell", 60, 2),
+        ("dwell", 9, 2),
+        ("after", 51, 0),
+    ]
+    never = recording(1.2).attempt("interrupted", 8.2, "not still")
+    assert [(phase, len(block), block.lost) for phase, block in never.blocks] == [("before", 60, 2)] * 2
+    assert (never.reason, never.place, never.outcome) == ("not still", 3, "interrupted")
