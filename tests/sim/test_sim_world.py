@@ -188,6 +188,18 @@ def test_giving_one_parameter_leaves_the_other_hidden_ones_as_they_were():
     assert {name for name in free if free[name] != given[name]} == {"bias_x"}
 
 
+def test_another_day_is_the_same_part_with_other_noise_and_other_errors_of_the_stage():
+    worlds = [World(seed=5, day=day) for day in (0, 1, 1)]
+    truths = [world.truth() for world in worlds]
+    assert truths[0] == truths[1]
+    seen = []
+    for world in worlds:
+        end = world.stage.move_to(0.0, 90.0)
+        seen.append((world.stage.error_deg, *world.sample(np.array([end + 1])).accel_mg[0]))
+    assert seen[1] == seen[2]
+    assert not set(seen[0]) & set(seen[1])
+
+
 def test_hidden_parameters_are_drawn_with_the_figures_of_the_variant():
     truths = [World(seed=seed).truth() for seed in range(400)]
     biases = [truth[f"bias_{axis}"] for truth in truths for axis in "xyz"]
