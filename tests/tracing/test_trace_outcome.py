@@ -31,6 +31,7 @@ from adis_gonio.tracing.findings import (
     finding_of,
     in_units_of_file,
     notes_of,
+    probability_of_equals,
     rivals_of,
     scatter_finding,
     unnamed_of,
@@ -513,6 +514,21 @@ class TestFindings:
         verdict = replace(selection.verdict, same={selection.verdict.best: alike})
         found = finding_of(replace(selection, verdict=verdict), "bias")
         assert found.equivalents == ("cubic + quadratic", "quadratic")
+
+    def test_names_that_predict_the_same_beside_as_many_causes_count_with_it(self) -> None:
+        # In a plane the squares of both readings add up to a constant.
+        data = biased()
+        curve = np.outer(np.cos(np.radians(3.0) - data.conditions.angle_rad) ** 2, [2.0, 0.0])
+        data = replace(data, mean=data.mean + curve)
+        terms = labelled(data, "bias[xy]", "quadratic[x]", "cross_quadratic[x]", "cubic[x]")
+        selection = chosen(data, terms, ((0, 1), 0.5), ((0, 2), 0.3), ((3,), 0.2))
+        verdict = selection.verdict
+        alike = [model for models in (verdict.weights, *verdict.same.values()) for model in models]
+        same = {verdict.best: [model for model in alike if model != verdict.best]}
+        selection = replace(selection, verdict=replace(verdict, same=same))
+        assert finding_of(selection, "quadratic").probability == pytest.approx(0.5)
+        assert probability_of_equals(selection, "quadratic") == pytest.approx(0.3)
+        assert probability_of_equals(selection, "bias") == 0.0
 
     def test_an_amplitude_is_as_uncertain_as_probable_models_differ_on_it(self) -> None:
         # In the other model a curvature of x, which is half a constant, takes its part of the bias.

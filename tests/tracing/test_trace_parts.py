@@ -837,21 +837,28 @@ class TestSurvival:
 
         found = [of("bias", 9.0), of("cubic", 9.0), of("gravity", 0.5), of("backlash", 9.0)]
         checked, unchecked = ErrorFigures(1.0, 1.0, None, None), ErrorFigures(1.0, None, None, None)
-        weak = weak_names(found, checked, {"backlash": "unnamed: angle"})
+        weak = weak_names(found, checked, {"backlash": "unnamed: angle"}, {})
         assert set(weak) == {"gravity", "backlash"}
         assert "no larger than their own uncertainty" in weak["gravity"]
         assert "unnamed: angle" in weak["backlash"]
-        assert set(weak_names(found, unchecked, {})) == {"cubic", "gravity", "backlash"}
+        assert set(weak_names(found, unchecked, {}, {})) == {"cubic", "gravity", "backlash"}
 
     def test_a_name_that_most_models_do_not_have_in_its_place_is_not_found(self) -> None:
         # Models that predict the same are one, of which a slip and a backlash are found; by themselves
         # nearly all of them have one step in the place of the backlash, and nothing for the slip.
         checked = ErrorFigures(1.0, 1.0, None, None)
-        for probability, found in ((0.06, False), (0.54, False), (0.56, True)):
+        # Other names that predict the same in its place count with it.
+        for probability, equal, found in (
+            (0.06, 0.0, False),
+            (0.54, 0.0, False),
+            (0.56, 0.0, True),
+            (0.44, 0.1, False),
+            (0.44, 0.12, True),
+        ):
             slip = Finding("position_slip", (), {"slip": Value(-0.15, 0.01, "deg")}, 0.0, 0.0, probability)
-            weak = weak_names([slip], checked, {})
+            weak = weak_names([slip], checked, {}, {"position_slip": equal})
             assert (weak == {}) == found
-            assert found or format_percent(1 - probability) in weak["position_slip"]
+            assert found or format_percent(1 - probability - equal) in weak["position_slip"]
 
     def test_check_dwells_that_do_not_agree_are_said_with_their_number(self) -> None:
         check = np.arange(24) % 4 == 0

@@ -43,7 +43,7 @@ from adis_gonio.fitting.uncertainty import missing_curvature
 from adis_gonio.model.effects import AXES, Conditions, Parameter, catalogue, effect
 from adis_gonio.model.effects.stage_terms import StagePeriodic, alike
 from adis_gonio.tracing.averaging import AveragedFit, AveragedTerm, middle_s
-from adis_gonio.tracing.credible_sets import cause_name, probability_of
+from adis_gonio.tracing.credible_sets import cause_name, probability_of, votes
 from adis_gonio.tracing.linear_problem import LinearProblem, amplitudes, span
 from adis_gonio.tracing.model_search import Model, Search, posterior
 from adis_gonio.tracing.named_candidates import SplitEffect
@@ -125,6 +125,23 @@ def finding_of(
         equivalents=tuple(dict.fromkeys(same))[:5],
         cause=cause,
     )
+
+
+def probability_of_equals(selection: Selection, name: str, averaged: AveragedFit | None = None) -> float:
+    """Return the probability of the other names that predict the same in the place of an effect `name`.
+
+    They are in models with equal predictions that have as many causes as the chosen model. `averaged` is
+    the average that replaces the unnamed part of the model, if any.
+    """
+    verdict, terms = selection.verdict, selection.problem.terms
+    ours = {terms[k].name for k in verdict.best}
+    equal: set[str | None] = set()
+    for model in verdict.same.get(verdict.best, []):
+        theirs = {terms[k].name for k in model}
+        if name not in theirs and len(theirs) == len(ours):
+            equal |= theirs - ours
+    share, present = votes(selection, name, averaged)
+    return sum(part for other, part in share.items() if other in equal) * present
 
 
 def differs_from_zero(finding: Finding) -> bool:

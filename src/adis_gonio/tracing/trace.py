@@ -381,7 +381,8 @@ class TraceRun:
             and (one.names[0] in known or self.functions_checked)
         )
         self.likelier = likelier_functions(self.sets, self.terms)
-        weak = weak_names(seen, self.figures[-1], self.likelier)
+        equals = {name: findings.probability_of_equals(judged, name, self.averaged) for name in accepted}
+        weak = weak_names(seen, self.figures[-1], self.likelier, equals)
         self.names = validation.reject_names(self.names, weak)
         self.findings = [finding for finding in seen if finding.effect not in weak]
         self.notes = list(findings.notes_of(self.selection, self.scatter))
@@ -515,7 +516,7 @@ def likelier_functions(sets: Sequence[CredibleSet], terms: Sequence[Term]) -> di
 
 
 def weak_names(
-    found: Sequence[Finding], final: ErrorFigures, likelier: Mapping[str, str]
+    found: Sequence[Finding], final: ErrorFigures, likelier: Mapping[str, str], equals: Mapping[str, float]
 ) -> dict[str, str]:
     """Return the effects that must not be reported as found, each with the reason.
 
@@ -527,16 +528,19 @@ def weak_names(
         Errors of the final model.
     likelier : mapping of str to str
         For each name that an unnamed function replaces with higher probability, this function.
+    equals : mapping of str to float
+        For each name, the probability of the other names that predict the same in its place.
     """
     weak = {}
     for finding in found:
+        probability = finding.probability + equals.get(finding.effect, 0.0)
         if finding.effect in likelier:
             weak[finding.effect] = f"more probable in its place: {likelier[finding.effect]}"
-        elif finding.probability < limits.certain:
+        elif probability < limits.certain:
             # Models with equal predictions count as one model, which may have this name although most of
-            # them have another name or none.
+            # them have a function or nothing in its place.
             weak[finding.effect] = (
-                f"other names or none in its place have {format_percent(1 - finding.probability)}"
+                f"other names or none in its place have {format_percent(1 - probability)}"
             )
         elif final.heldout_rms is None and finding.effect != "bias":
             weak[finding.effect] = "no dwell could be held out to check it"
