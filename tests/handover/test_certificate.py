@@ -10,7 +10,7 @@ from datetime import date
 import numpy as np
 import pytest
 
-from adis_gonio import Calibration, fit, load_session
+from adis_gonio import Calibration, fit, load_session, trace
 from adis_gonio.base.conformity import Tolerance
 from adis_gonio.base.errors import FitError
 from adis_gonio.calibrate import NotCorrected
@@ -98,6 +98,11 @@ def test_numbers_and_dates_are_those_of_a_fit_with_few_readings_over_midnight(tm
         lines.append(f"{clock}:0{k}Z,{k},{45 * k},{reading}")
     path = tmp_path / "few.csv"
     path.write_text("\n".join(lines) + "\n")
+    traced = trace(load_session(path))
+    found = quantities(judge(certificate_text(traced.calibration())))
+    assert traced.base["delta_k"].k > 2.05
+    for name, value in traced.base.items():
+        assert float(found[name]["coverageFactor"]) == pytest.approx(value.k, abs=1e-4), name
     result = fit(load_session(path))
     made = result.calibration()
     made.save(tmp_path / "few.json")

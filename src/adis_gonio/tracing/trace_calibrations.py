@@ -71,7 +71,7 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
     rows, matrix = _stated_with_covariance(fit, corrected, inflation)
     sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     parameters = tuple(
-        Coefficient(name, value, u if u > 0 else None, unit)
+        Coefficient(name, value, u if u > 0 else None, unit, result.dof)
         for (name, value, unit), u in zip(rows, sizes.tolist(), strict=True)
     )
     # The parameters of the effects are last, in the order of the effects.
@@ -91,6 +91,7 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
             not_corrected=tuple(left),
             assumed=assumed_parameters(fit.data.model, [*names, *_biases(fit), "alpha"]),
             counts_per_mg=None if fit.data.unit.known else tuple(fit.data.unit.per_mg.tolist()),
+            ratio_dof=result.dof,
         )
     )
 
