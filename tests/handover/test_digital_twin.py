@@ -23,6 +23,14 @@ def measured(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
+def short(tmp_path_factory):
+    """Nine dwells of a second, for commands."""
+    path = tmp_path_factory.mktemp("twin") / "short.csv"
+    assert main(["simulate", "--plan", "mmpm", "--dwell", "1", "--seed", "4", "-o", str(path)]) == 0
+    return path
+
+
+@pytest.fixture(scope="module")
 def session(measured):
     return load_session(measured)
 
@@ -98,11 +106,11 @@ def test_the_twin_of_a_real_recording_has_its_noise():
     assert found.allan_ratio == pytest.approx(1, abs=0.25)
 
 
-def test_simulate_like_writes_the_twin_as_a_samples_csv(capsys, measured, tmp_path):
+def test_simulate_like_writes_the_twin_as_a_samples_csv(capsys, short, tmp_path):
     out = tmp_path / "twin.csv.gz"
-    assert main(["simulate", "--like", str(measured), "--seed", "5", "-o", str(out)]) == 0
-    assert len(load_session(out).dwells) == 24
-    assert main(["simulate", "--like", str(measured), "-o", str(tmp_path / "twin.session")]) == 2
+    assert main(["simulate", "--like", str(short), "--seed", "5", "-o", str(out)]) == 0
+    assert len(load_session(out).dwells) == 9
+    assert main(["simulate", "--like", str(short), "-o", str(tmp_path / "twin.session")]) == 2
     assert "name it .csv" in capsys.readouterr().err
 
 
@@ -122,9 +130,9 @@ def test_readings_that_somebody_averaged_have_no_noise_to_copy(session, traced):
         simulate_like(replace(session, dwells=single, reading_u_mg=0.1), traced.fits[-1])
 
 
-def test_the_report_holds_the_comparison(measured, tmp_path):
+def test_the_report_holds_the_comparison(short, tmp_path):
     out = tmp_path / "page.html"
-    assert main(["report", str(measured), "-o", str(out)]) == 0
+    assert main(["report", str(short), "-o", str(out)]) == 0
     page = out.read_text()
     assert "The digital twin against the measured data" in page
     assert "Allan deviation of x" in page

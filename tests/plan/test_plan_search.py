@@ -77,14 +77,14 @@ def dense(bench, angles_deg, order_s):
     twice = 2 * (order_s.max() + 10.0 - order_s.min())
     starts, lengths = np.append(order_s, order_s.min()), np.append(np.full(n, 10.0), twice)
     mean_log = np.zeros((n + 1, n + 1))
-    for i, j in itertools.product(range(n + 1), repeat=2):
+    for i, j in itertools.combinations_with_replacement(range(n + 1), 2):
         if i == j:
             mean_log[i, j] = math.log(lengths[i]) - 1.5
         else:
             # Unlike numbers of steps, so that no two points meet.
             one, two = ((np.arange(m) + 0.5) / m for m in (2000, 2011))
             gap = starts[i] + lengths[i] * one[:, None] - starts[j] - lengths[j] * two[None, :]
-            mean_log[i, j] = np.log(np.abs(gap)).mean()
+            mean_log[i, j] = mean_log[j, i] = np.log(np.abs(gap)).mean()
     about = np.concatenate([np.eye(n), -np.ones((n, 1))], axis=1)
     slow = bench.floor_mg**2 * (-about @ mean_log @ about.T / (2 * math.log(2)))
     covariance = white * np.eye(2 * n) + fixture * tangent @ tangent.T + np.kron(slow, np.eye(2))
