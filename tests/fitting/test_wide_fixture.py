@@ -1,6 +1,7 @@
 """A wide stage makes the start angle less sure, and not unknown; `plan` foresees what `fit` states."""
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -14,19 +15,19 @@ from adis_gonio.record.plans import plan
 ALPHA = statistics.NAMES.index("alpha")
 
 
-def _drawn(name: str, fixture_deg: float, count: int):
-    """Fits of sessions with the truth of each by `NAMES[:-1]`."""
+@cache
+def _drawn(name: str, fixture_deg: float):
+    """Fits of 40 sessions with the truth of each by `NAMES[:-1]`."""
     case = statistics.Case(name, plan(name), Bench(fixture_deg))
     bare, rng = expected_readings(case.plan, case.bench), np.random.default_rng(31)
-    for _ in range(count):
-        readings, truth, _ = statistics.drawn(case, rng, bare)
-        yield fit_readings(readings), truth
+    drawn = (statistics.drawn(case, rng, bare) for _ in range(40))
+    return [(fit_readings(readings), truth) for readings, truth, _ in drawn]
 
 
 @pytest.mark.parametrize("fixture_deg", [3.0, 10.0, 30.0])
 def test_the_start_angle_is_known_as_well_as_the_mean_of_the_declared_ones(fixture_deg):
     covered = []
-    for result, truth in _drawn("mmpm", fixture_deg, 40):
+    for result, truth in _drawn("mmpm", fixture_deg):
         alpha = result["alpha"]
         assert alpha.u == pytest.approx(fixture_deg / math.sqrt(9), rel=0.05)
         assert result.shown_angle.u == pytest.approx(alpha.u, rel=0.02)  # the angle counts from there
@@ -38,7 +39,7 @@ def test_the_start_angle_is_known_as_well_as_the_mean_of_the_declared_ones(fixtu
 
 def test_four_positions_and_a_wide_stage_state_the_angle_between_the_axes_by_the_stage():
     z = {"delta_phi": [], "alpha": [], "delta_k": []}
-    for result, truth in _drawn("four-position", 8.0, 40):
+    for result, truth in _drawn("four-position", 8.0):
         for name, values in z.items():
             values.append((result[name].value - truth[statistics.NAMES.index(name)]) / result[name].u)
         assert result["delta_phi"].u == pytest.approx(8.0, rel=0.5)
@@ -61,7 +62,7 @@ def test_an_angle_that_rests_on_what_is_not_determined_has_no_uncertainty():
 def test_a_plan_foresees_what_the_fit_states(name, fixture_deg):
     foreseen = predict_uncertainty(plan(name), Bench(fixture_deg, start_deg=2.0))
     stated = {quantity: [] for quantity in ("alpha", "delta_phi")}
-    for result, _ in _drawn(name, fixture_deg, 30):
+    for result, _ in _drawn(name, fixture_deg):
         for quantity, values in stated.items():
             values.append(result[quantity].u)
     for quantity, values in stated.items():

@@ -12,6 +12,7 @@ from adis_gonio import load_session
 from adis_gonio.base.arrays import central_differences
 from adis_gonio.base.errors import DataError, FitError, UsageError
 from adis_gonio.faces.cli import main
+from adis_gonio.faces.cli.trace_commands import print_trace
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.model.effects import effect
 from adis_gonio.model.effects.base import lagged
@@ -227,10 +228,15 @@ def test_a_line_that_moves_is_a_hidden_thermometer_of_three_sessions() -> None:
     assert result.sessions[0].session_after_mg < 0.3
 
 
-def test_sessions_of_a_warm_sensor_show_nothing_more() -> None:
-    result = trace_sessions([load_session(recording(f"mimu4444/exp{k}_imu1")) for k in (4, 5)])
+def test_sessions_of_a_warm_sensor_show_nothing_more(capsys) -> None:
+    sessions = [load_session(recording(f"mimu4444/exp{k}_imu1")) for k in (4, 5)]
+    result = trace_sessions(sessions)
     assert names(result) == {"bias"}
     assert result.adequate
+    print_trace(sessions, result)
+    shown = capsys.readouterr().out
+    assert "Belongs to" in shown
+    assert "Evidence of each session" in shown
 
 
 def test_the_command_traces_several_files_as_one_model(tmp_path, capsys) -> None:
@@ -243,10 +249,6 @@ def test_the_command_traces_several_files_as_one_model(tmp_path, capsys) -> None
     document = json.loads(capsys.readouterr().out)
     assert [one["session"] for one in document["sessions"]] == ["one", "two"]
     assert set(document["owners"]["bias"]) <= {"part", "session", "all parts", "stage"}
-    assert main(["trace", *paths]) == 0
-    shown = capsys.readouterr().out
-    assert "Belongs to" in shown
-    assert "Evidence of each session" in shown
     assert main(["trace", *paths, "--time-limit", "0.01"]) == 0
     assert "The time limit of 0.01 s ended the trace" in capsys.readouterr().out
     assert main(["trace", *paths, "--sensor-part", "gyro"]) == 2
