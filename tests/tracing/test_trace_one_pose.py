@@ -2,11 +2,13 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from adis_gonio.base.errors import FitError
+from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing.trace import trace
-from tracing.one_pose_sessions import CAUSES, one_pose
+from tracing.one_pose_sessions import CAUSES, flicker, one_pose
 
 
 def named(kind: str, seeds: range, beside: float = 0.0) -> list[dict[str, float]]:
@@ -28,6 +30,23 @@ def test_a_zero_that_moves_without_a_cause_gets_no_name(kind):
 def test_a_true_course_is_found_beside_noise_that_wanders(kind, seeds, least):
     found = named(kind, range(seeds), beside=0.3)
     assert sum(CAUSES[kind] in one for one in found) >= least
+
+
+def test_the_uncertainty_of_a_drift_contains_noise_that_wanders():
+    """A drift of 3 mg in an hour on each axis beside 1/f noise of 0.3 mg."""
+    time_s, outside, axes = np.arange(3600.0), 0, 0
+    temperature = 25 + np.sin(time_s / 430)
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        wander = np.stack([0.3 * flicker(rng, len(time_s)) for _ in range(3)], axis=1)
+        accel = 3 * time_s[:, None] / 3600 + wander + rng.normal(size=(len(time_s), 3)) + [0, 0, -1000]
+        dwell = Dwell(0, time_s, accel, temperature_c=temperature)
+        found = trace(Session((dwell,), sensor="generic", accel_unit="mg", plane=None)).found
+        for value in next(one for one in found if one.effect == "bias_drift").parameters.values():
+            outside += abs(value.value - 3 / 60) > value.U
+            axes += 1
+    assert axes == 24
+    assert outside <= 3  # binomial: 0.6 % of runs have more
 
 
 def test_two_courses_that_are_alike_share_the_probability():

@@ -85,9 +85,8 @@ def finding_of(
     axes: list[str] = []
     cause = ""
     amplitude_of, mixture = effect_mixture(selection, name)
-    dof = dof_of(selection)
     fit = selection.fit
-    biases = biases_at_middle(fit) if name == "bias" else {}
+    biases = biases_at_middle(fit) if name == "bias" and not fit.data.model.origins else {}
     each = np.eye(len(fit.values.parameters))
     for index, (term, values) in enumerate(zip(fit.terms, fit.values.terms, strict=True)):
         at = fit.slice_of(index).start
@@ -101,13 +100,12 @@ def finding_of(
                 u = float(np.sqrt(slope @ fit.covariance @ slope * selection.inflation))
                 if parameter.name in amplitude_of:  # the covariance contains the spread of fitted shapes
                     u = mixture.u(u, np.array([float(other == parameter.name) for other in amplitude_of]))
-                undetermined = k in unseen
-                value = 0.0 if undetermined else fitted
+                value, known = (0.0, None) if k in unseen else (fitted, u)
                 # Sessions may show two courses of one name; a single session keeps the last one.
                 stated = parameter.name
                 if stated in parameters and selection.data.model.origins:
                     stated += " (second)"
-                parameters[stated] = Value(value, None if undetermined else u, parameter.unit, dof)
+                parameters[stated] = Value(value, known, parameter.unit, dof_of(selection))
             for choice in (c for c in term.effect.choices() if c not in term.effect.options):
                 parameters[choice] = Value(float(getattr(term.effect, choice)), None, "1")
     same = [
@@ -260,8 +258,7 @@ def zeros_of(selection: Selection) -> dict[str, Value]:
     if data.unit.known:
         return {}
     fit = selection.fit
-    axes = AXES[: data.axes]
-    lacking = tuple(letter for letter in axes if letter not in bias_places(fit))
+    lacking = tuple(letter for letter in AXES[: data.axes] if letter not in bias_places(fit))
     if lacking:
         zero = NamedTerm("bias", (), 0.0, effect("bias", lacking))
         values = replace(fit.values, terms=(*fit.values.terms, np.zeros(len(lacking))))
@@ -270,7 +267,7 @@ def zeros_of(selection: Selection) -> dict[str, Value]:
     for name, (bias, slope) in biases_at_middle(fit).items():
         u = float(np.sqrt(slope @ fit.covariance @ slope * selection.inflation))
         stated[name] = Value(bias, u, "mg", dof_of(selection))
-    return in_units_of_file(Finding("bias", axes, stated, 1.0, 0.0, 1.0), data.unit).parameters
+    return in_units_of_file(Finding("bias", (), stated, 1.0, 0.0, 1.0), data.unit).parameters
 
 
 def bias_places(fit: Fit) -> dict[str, int]:
@@ -520,11 +517,9 @@ def clock_at_middle(fit: Fit, ideal: Floats, *, turned: bool = False) -> tuple[F
 def biases_at_middle(fit: Fit) -> dict[str, tuple[float, Floats]]:
     """Return the value of each fitted bias at the middle of the session, and its derivative (p,), by name.
 
-    The result is empty for several sessions, which have no common middle.
+    Several sessions have no common middle.
     """
-    stated: dict[str, tuple[float, Floats]] = {}
-    if fit.data.model.origins:
-        return stated
+    stated = {}
     added, slopes = clock_at_middle(fit, np.zeros(fit.data.axes))
     for letter, place in bias_places(fit).items():
         axis = AXES.index(letter)

@@ -266,11 +266,11 @@ def _folds(problem: _Problem, model: Model) -> tuple[Floats, list[Choice], list[
         by a constant.
     best : list of Choice
         Most likely combination for each axis.
-    values, u : list of (p,) float
-        Its coefficients for each axis from a fit of all blocks, and their standard uncertainties by the
-        jackknife over blocks.
+    values, u : list of (p + 1,) and (p,) float
+        Its coefficients for each axis from a fit of all blocks, and the standard uncertainties of the
+        amplitudes (`_u`).
     """
-    choices, coefficients = _choices(problem, model), []
+    choices = _choices(problem, model)
     readings = problem.readings.reshape(BLOCKS, -1, problem.readings.shape[1])
     predicted = np.empty((len(choices), *readings.shape))
     inside = np.empty((len(choices), BLOCKS, readings.shape[2]))
@@ -284,7 +284,6 @@ def _folds(problem: _Problem, model: Model) -> tuple[Floats, list[Choice], list[
         gram = own.sum(axis=0) - own
         gram += _RIDGE * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(len(size))
         solution = np.linalg.solve(gram, cross.sum(axis=0) - cross)
-        coefficients.append(solution / size[:, None])
         predicted[j] = blocks @ solution
         every = ((readings - blocks @ solution[:, None]) ** 2).sum(axis=(1, 2))
         inside[j] = every - ((readings - predicted[j]) ** 2).sum(axis=1)
@@ -296,12 +295,33 @@ def _folds(problem: _Problem, model: Model) -> tuple[Floats, list[Choice], list[
     weight = np.exp(likelihood - likelihood.max(axis=0)) * (variance <= limits.predicted - 1)
     weight /= np.maximum(weight.sum(axis=0), 1e-300)
     left = readings - (weight[:, :, None] * predicted).sum(axis=0)
-    likeliest = inside.sum(axis=1).argmin(axis=0)
-    best = [choices[k] for k in likeliest]
+    best = [choices[k] for k in inside.sum(axis=1).argmin(axis=0)]
     columns = zip(best, problem.readings.T, strict=True)
     values = [np.linalg.lstsq(_design(problem, choice), y, rcond=None)[0] for choice, y in columns]
-    u = [coefficients[k][..., axis].std(axis=0) * (BLOCKS - 1) ** 0.5 for axis, k in enumerate(likeliest)]
+    u = [_u(problem, choices, axis, own[1:]) for axis, own in enumerate(values)]
     return (left**2).sum(axis=(0, 1)), best, values, u
+
+
+def _u(problem: _Problem, choices: Sequence[Choice], axis: int, values: Floats) -> Floats:
+    """Return the standard uncertainty (p,) of the amplitudes `values` of a model on one axis.
+
+    It is the root mean square distance to the amplitudes that each combination of forms, kind and size of
+    slow noise gives, with the uncertainty of these, by their posterior. `choices` with another number of
+    amplitudes take no part.
+    """
+    (white, scale), free = problem.once(_noises), len(problem.readings) - 1 - len(values)
+    readings = white @ problem.readings[:, axis, None]
+    scores, squares = [], []
+    designs = (_design(problem, choice)[:, 1:] for choice in choices)
+    for columns in (one for one in designs if one.shape[1] == len(values)):
+        basis, triangle = np.linalg.qr(white @ columns)
+        turned, back = basis.swapaxes(2, 3) @ readings, np.linalg.pinv(triangle)
+        rest = np.maximum(((readings - basis @ turned) ** 2).sum(axis=(2, 3)), 1e-300)
+        scores.append(scale - 0.5 * free * np.log(rest))
+        away = (back @ turned)[..., 0] - values
+        squares.append((back**2).sum(axis=3) * (rest / free)[..., None] + away**2)
+    weight = np.exp(scores - log_sum_exp(np.array(scores)))
+    return np.asarray(np.sqrt((weight[..., None] * squares).sum(axis=(0, 1, 2))))
 
 
 def _noises(problem: _Problem) -> tuple[Floats, Floats]:
@@ -421,9 +441,8 @@ def _residual(problem: _Problem, model: Model) -> Floats:
 def _parameters(problem: _Problem, model: Model, which: int) -> tuple[dict[str, Value], Detectable]:
     """Return the parameters of the effect `which` of a model, and its smallest detectable amplitude.
 
-    The uncertainties are from the jackknife over blocks of time. A test at 1 % detects the smallest
-    amplitude with 90 % probability. Amplitude k multiplies the k-th power: for a lag the names are `lag`,
-    `lag2`, `lag3`.
+    A test at 1 % detects the smallest amplitude with 90 % probability. Amplitude k multiplies the k-th
+    power: for a lag the names are `lag`, `lag2`, `lag3`.
     """
     _, best, values, u = problem.once(_folds, model)
     first = problem.effects[model[which]].parameters[0]
@@ -433,7 +452,7 @@ def _parameters(problem: _Problem, model: Model, which: int) -> tuple[dict[str, 
         begin = 1 + sum(form.columns.shape[1] for form in choice[:which])
         for k in range(choice[which].columns.shape[1]):
             name, unit = f"{stem}{('', 2, 3)[k]}_{letters[axis]}", first.unit + ("", "²", "³")[k]
-            parameters[name] = Value(float(values[axis][begin + k]), float(u[axis][begin + k]), unit)
+            parameters[name] = Value(float(values[axis][begin + k]), float(u[axis][begin - 1 + k]), unit)
         if (tau_s := choice[which].tau_s) is not None:
             parameters[f"tau_{letters[axis]}"] = Value(tau_s, None, "s")
     worst = max(parameters[f"{stem}_{letter}"].u or 0.0 for letter in letters)
