@@ -128,6 +128,7 @@ def test_at_once_over_it_still_gives_a_model_and_says_what_was_left_out() -> Non
     assert result.steps
     assert result.after.residual_rms < 0.5 * result.before.residual_rms
     assert result.after.heldout_rms is None
+    assert "no data were held out" in words.gains(result)
     said = words.headline(result)
     assert said.startswith("The time limit of 0.5 s ended the trace")
     assert "nothing is called found" in said

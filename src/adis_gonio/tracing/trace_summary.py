@@ -299,7 +299,7 @@ def gains(result: TraceResult) -> str:
                 f", effects chosen again each time, or to {kept} {unit} with the effects of this model kept"
             )
     else:
-        parts.append("there were too few data to hold any out, so this is not verified on other data")
+        parts.append("no data were held out, so this is not verified on other data")
     if before.angle_rms_deg is not None and after.angle_rms_deg is not None:
         parts.append(f"the error of the angle {_fall(before.angle_rms_deg, after.angle_rms_deg, '°', '°')}")
     return "; ".join(parts) + "."
