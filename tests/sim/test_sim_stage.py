@@ -225,6 +225,17 @@ def test_positions_in_pieces_equal_positions_at_once():
         assert np.array_equal(pieces, getattr(whole, name), equal_nan=True), name
 
 
+def test_the_course_of_many_moves_tabulates_each_move_once(monkeypatch):
+    """A twin of 2000 dwells asks for the course after each of its moves."""
+    part, followed, along = stage(), [], Stage._along
+    monkeypatch.setattr(Stage, "_along", lambda *given: followed.append(given) or along(*given))
+    now = 0.0
+    for k in range(40):
+        now = part.move_to(now + 1, 37.0 * k % 360)
+        part.course()
+    assert len(followed) == 41
+
+
 @pytest.mark.parametrize("hand", [0.0, 1.0])
 def test_the_course_between_its_knots_is_the_way_that_the_part_takes(hand):
     part = stage(alpha_deg=3.0, fixture_sigma_deg=0.1, hand_moves=hand)

@@ -146,6 +146,7 @@ class Stage:
         self._legs = [_Leg(never, never, begin, _UPRIGHT, 0.0, 0.0, 0.0, error, 0, 0, 0.0)]
         self._starts = np.array([never])
         self._mark_error = 0.0
+        self._tabulated: list[tuple[Floats, Floats]] = []
         self._course: tuple[Floats, Floats] | None = None
 
     @property
@@ -302,11 +303,9 @@ class Stage:
         first, last = int(index[0]), int(index[-1])
         if first == last:
             return self._along(self._legs[first], time_s)
-        parts = [
-            self._along(self._legs[k], time_s[index == k])
-            for k in range(first, last + 1)
-            if (index == k).any()
-        ]
+        cuts = np.searchsorted(index, np.arange(first + 1, last + 1))
+        legs = zip(self._legs[first : last + 1], np.split(time_s, cuts), strict=True)
+        parts = [self._along(leg, times) for leg, times in legs if len(times)]
         return Motion(*(np.concatenate([getattr(part, name) for part in parts]) for name in _NAMES))
 
     def course(self) -> tuple[Floats, Floats]:
@@ -315,12 +314,17 @@ class Stage:
         The sensor rests before the first time and after the last one; without any move there is one time, 0
         s.
         """
+        # Each leg is tabulated once: a later move changes none before it.
+        for leg in self._legs[len(self._tabulated) :]:
+            moves = leg.end_s > leg.start_s
+            knots = np.linspace(leg.start_s, leg.end_s, leg.knots) if moves else np.zeros(0)
+            self._tabulated.append((knots, self._along(leg, knots).direction))
+            self._course = None
         if self._course is None:
-            moves = [leg for leg in self._legs if leg.end_s > leg.start_s]
-            times = [np.linspace(leg.start_s, leg.end_s, leg.knots) for leg in moves]
-            knots = np.unique(np.concatenate(times)) if times else np.zeros(1)
-            self._course = knots, self.at(knots).direction
-        return self._course
+            knots, directions = map(np.concatenate, zip(*self._tabulated, strict=True))
+            knots, first = np.unique(knots, return_index=True)
+            self._course = knots, directions[first]
+        return self._course if len(self._course[0]) else (np.zeros(1), self.at(np.zeros(1)).direction)
 
     # -- making legs ------------------------------------------------------------------------------
 
@@ -402,7 +406,6 @@ class Stage:
         order = max(self._moves - 1, 0)
         self._legs.append(_Leg(start_s, end_s, *where, order, approach, self._previous_rad, hand))
         self._starts = np.append(self._starts, start_s)
-        self._course = None
         return end_s
 
     # -- following legs ---------------------------------------------------------------------------
