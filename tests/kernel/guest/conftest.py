@@ -1,6 +1,5 @@
 """What the guest's tests share; these files run inside the emulated machine only."""
 
-import gc
 import signal
 from collections.abc import Iterator
 
@@ -18,10 +17,6 @@ from kernel import device_process, open_urls
 from kernel.bench import Bench, Forked
 
 TEST_TIME_S = 300
-
-# The collector with its own threshold would visit all modules again and again, in each of the processes.
-gc.freeze()
-gc.set_threshold(20_000, 10, 10)
 
 # Forked before any test opens a board: the state of a USB library must not be shared by two processes.
 _devices = Forked(device_process.serve)
