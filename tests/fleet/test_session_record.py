@@ -8,6 +8,7 @@ import sqlite3
 import pytest
 
 import adis_gonio
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.answer import Answer
 from adis_gonio.fleet.session_record import COLUMNS, SessionRecord, record_of
 from adis_gonio.record.loading import load_session
@@ -69,6 +70,13 @@ def test_rows_have_the_columns_of_the_table_and_their_names_differ_without_capit
         kind = list if COLUMNS[name][0] in ("names", "numbers") else str | int | float
         assert value is None or isinstance(value, kind)
     assert row["delta_phi_u95"] == pytest.approx(row["delta_phi_k"] * row["delta_phi_u"])
+
+
+def test_a_bias_in_counts_is_not_in_the_column_of_a_bias_in_mg():
+    values = {"bias_x": Value(650.0, 2.0, "counts"), "bias_y": Value(3.0, 0.1, "mg")}
+    row = SessionRecord("a.csv", values=values).row()
+    assert (row["bias_x"], row["bias_x_u"]) == (None, None)
+    assert (row["bias_y"], row["bias_y_u"]) == (3.0, 0.1)
 
 
 def _truncated(archive, folder):

@@ -169,6 +169,18 @@ def test_a_certificate_that_does_not_cover_the_angles_is_refused():
         Overrides(stage_curve=part).apply(measured(np.zeros_like, np.random.default_rng(1)))
 
 
+@pytest.mark.parametrize(("step_deg", "covered"), [(45.0, True), (45.1, False)])
+def test_a_certificate_covers_steps_of_45_degrees_and_its_own_angles(step_deg, covered):
+    angles = np.append(45.0 * np.arange(7), 270.0 + step_deg)
+    part = StageCurve("part.xml", angles, np.zeros(8), np.eye(8))
+    part.check([270.0, float(angles[-1]), 0.0, 359.0, None])
+    if covered:
+        part.check([300.0])
+    else:
+        with pytest.raises(UsageError, match="near 300°"):
+            part.check([300.0])
+
+
 def test_a_certificate_has_no_use_for_poses_in_space():
     curve = StageCurve("stage.xml", ANGLE, 0 * ANGLE, COVARIANCE)
     rng = np.random.default_rng(1)
