@@ -290,9 +290,8 @@ def in_units_of_file(finding: Finding, unit: Unit) -> Finding:
     stated = {}
     for name, value in finding.parameters.items():
         axis = AXES.index(name[-1])
-        per_mg = float(unit.per_mg[axis])
+        per_mg, zero = float(unit.per_mg[axis]), float(unit.zero[axis])
         u = None if value.u is None else value.u * per_mg
-        zero = float(unit.zero[axis])
         stated[name] = Value(zero + value.value * per_mg, u, unit.name, value.dof)
     return replace(finding, parameters=stated)
 
@@ -350,11 +349,9 @@ def shares(steps: Sequence[str], excess: Sequence[float]) -> dict[str, float]:
     effects in the order in which they were added. An effect that increases the excess has the share 0.
     """
     found = dict.fromkeys(steps, 0.0)
-    least = excess[0]
-    for name, left in zip(steps, excess[1:], strict=True):
-        fall = max(least - left, 0.0)
-        least -= fall
-        found[name] += fall / excess[0] if excess[0] > 0 else 0.0
+    falls = -np.diff(np.minimum.accumulate(excess)) / (excess[0] or 1.0)
+    for name, fall in zip(steps, falls.tolist(), strict=True):
+        found[name] += fall
     return found
 
 
@@ -451,11 +448,10 @@ def _kind(terms: Sequence[Term], model: Sequence[int], name: str) -> tuple[objec
     Two models have the effect in one form if their results are equal. The result is empty if the model
     lacks the effect. `terms` are all candidate terms, `model` the numbers of the model's terms.
     """
-    mine = [terms[k] for k in model if terms[k].name == name]
     return tuple(
         (term.shapes, tuple(getattr(term.effect, choice) for choice in term.effect.choices()))
-        for term in mine
-        if isinstance(term, NamedTerm)
+        for term in map(terms.__getitem__, model)
+        if isinstance(term, NamedTerm) and term.name == name
     )
 
 
@@ -548,8 +544,7 @@ def cycles_alike(selection: Selection) -> list[tuple[int, tuple[int, ...]]]:
         cycles |= {
             n for n in range(periodic[own], limits.most_cycles + 1) if alike(n, periodic[own], angle)
         }
-        others = sorted(cycles - {periodic[own]})
-        if others:
+        if others := sorted(cycles - {periodic[own]}):
             out.append((periodic[own], tuple(others[:5])))
     return out
 
