@@ -167,8 +167,7 @@ def format_duration(seconds: float) -> str:
     if minutes >= 10:
         hours, minutes = divmod(round(seconds / 60), 60)
         return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min"
-    parts = [f"{minutes} min"] * (minutes > 0) + [f"{rest} s"] * (rest > 0 or minutes == 0)
-    return " ".join(parts)
+    return " ".join([f"{minutes} min"] * (minutes > 0) + [f"{rest} s"] * (rest > 0 or minutes == 0))
 
 
 def counted(number: int, noun: str, plural: str = "") -> str:

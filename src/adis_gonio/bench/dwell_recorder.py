@@ -268,8 +268,7 @@ class DwellRecorder(Recorder):
         if recording.timed_out:
             return None
         text = f"{counted(restarts, 'dwell')} in a row were disturbed: {reason}"
-        message = f"{text}; find the cause of the disturbance"
-        return Guard("shock", message, {"times": float(restarts)})
+        return Guard("shock", f"{text}; find the cause of the disturbance", {"times": float(restarts)})
 
     def _go_to(self, recording: Recording) -> Generator[Event, None, bool]:
         """Move the stage to a position; return False if the operator interrupted."""

@@ -132,8 +132,7 @@ def trace(
     """
     from adis_gonio.tracing.trace import trace as trace_session
 
-    loaded = _load(session, "trace")
-    return trace_session(loaded, max_effects, time_limit, part, include, exclude, only)
+    return trace_session(_load(session, "trace"), max_effects, time_limit, part, include, exclude, only)
 
 
 def _load(given: Any, what: str) -> Session:

@@ -96,8 +96,7 @@ def noise_of(session: Session, unit: Unit) -> SamplesNoise:
     noisy = (variance > 0) & (white > 0)  # a constant axis shows no filter
     target = float(np.mean(np.log(variance[noisy] / white[noisy] ** 2))) if noisy.any() else 0.0
     nearest = min(range(7), key=lambda m: abs(math.log((filter_weights(m) ** 2).sum()) - target))
-    filter_m = int(stated.get("filter_m", nearest))
-    return SamplesNoise(smpl_prd, filter_m, white, np.sqrt(means.flicker))
+    return SamplesNoise(smpl_prd, int(stated.get("filter_m", nearest)), white, np.sqrt(means.flicker))
 
 
 @dataclass(frozen=True)

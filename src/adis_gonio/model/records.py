@@ -406,8 +406,7 @@ class Session(ComputedOnce):
         name = self.title or self.source or "untitled"
         samples = sum(len(dwell) for dwell in self.sampled)
         what = "a free turn" if self.free_turn else counted(len(self.dwells), "dwell")
-        held = f"{what}, {counted(samples, 'sample')}"
-        return f"Session({name}: {held}, {self.sensor})"
+        return f"Session({name}: {what}, {counted(samples, 'sample')}, {self.sensor})"
 
     @property
     def filter_m(self) -> int | None:

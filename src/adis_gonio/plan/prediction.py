@@ -288,8 +288,7 @@ class PlanUncertainty:
         if self.roots_deg is None:
             return None
         m = len(self.roots_deg)
-        angle_deg = np.arange(m) * 360.0 / m
-        return tolerance.decide(ErrorCurve(angle_deg, np.zeros(m), self.roots_deg))
+        return tolerance.decide(ErrorCurve(np.arange(m) * 360.0 / m, np.zeros(m), self.roots_deg))
 
     def as_dict(self) -> dict[str, Any]:
         """Return the JSON object of the uncertainties, without the values, which are unknown."""

@@ -65,8 +65,7 @@ _REPLACEMENT = "�"
 def _as_windows_1252(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeDecodeError):
         raise error
-    rest = error.object[error.start : error.end]
-    return rest.decode("cp1252", errors="replace"), error.end
+    return error.object[error.start : error.end].decode("cp1252", errors="replace"), error.end
 
 
 codecs.register_error("adis_gonio.windows-1252", _as_windows_1252)

@@ -136,8 +136,7 @@ class LinearProblem:
         count = len(self.shared.width)
         columns, gram = self.columns_and_gram([k for k in model if k < count])
         own = [k - count for k in model if k >= count]
-        columns = by_session(columns, self.split.place)
-        return self.split.basis(own, columns, gram, with_prior=with_prior)
+        return self.split.basis(own, by_session(columns, self.split.place), gram, with_prior=with_prior)
 
     def off(self, model: Sequence[int], values: Floats) -> Floats:
         """Return the part (rows,) of values (rows,) that a model with free amplitudes cannot reproduce.

@@ -311,8 +311,7 @@ def whitened_columns(fit: Fit, whiten: Floats) -> Floats:
 
     `whiten` (n, rows, axes) are the matrices that whiten the readings.
     """
-    columns = whiten @ fit.columns
-    return np.clip(np.nan_to_num(columns, posinf=FAR, neginf=-FAR), -FAR, FAR)
+    return np.clip(np.nan_to_num(whiten @ fit.columns, posinf=FAR, neginf=-FAR), -FAR, FAR)
 
 
 def _normalised(hypotheses: list[Hypothesis]) -> list[Hypothesis]:

@@ -62,8 +62,7 @@ class HeldOut:
 def residuals_on(fit: Fit, data: Readings) -> HeldOut:
     """Return the residuals of a model on dwells to which it was not fitted."""
     there = fit.on(data)
-    turned = fit.angle_error_rad(data)
-    return HeldOut(there.misfit, turned, np.ones(len(data), dtype=bool))
+    return HeldOut(there.misfit, fit.angle_error_rad(data), np.ones(len(data), dtype=bool))
 
 
 def rms(residual: Floats, by_axis: bool) -> float:

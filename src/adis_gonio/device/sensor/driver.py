@@ -453,8 +453,7 @@ class Adis16354(Closing):
         """
         if not USED_BY & self.bus.capabilities:
             return None
-        period_s = self.configuration().sample_period_s
-        return DataReadyLoan(self, registers(names), period_s)
+        return DataReadyLoan(self, registers(names), self.configuration().sample_period_s)
 
     def read_scans(
         self,

@@ -369,8 +369,7 @@ class _Model:
         seen = [one for one in effects if not data.conditions.lacks(one.needs)]
         terms = tuple(NamedTerm(one.name, (), 0.0, one) for one in seen)
         names = (*data.model.names, *(p.name for term in terms for p in term.effect.parameters))
-        whole = cls(data, terms, names, np.ones(len(names), dtype=bool))
-        return whole.narrowed({})
+        return cls(data, terms, names, np.ones(len(names), dtype=bool)).narrowed({})
 
     def narrowed(self, inflation: Mapping[str, float]) -> _Model:
         """Return a copy in which only parameters that the readings determine are free.
