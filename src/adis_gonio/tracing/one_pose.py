@@ -254,7 +254,7 @@ def _design(problem: _Problem, choice: Sequence[_Form]) -> Floats:
     return np.hstack([np.ones((len(problem.readings), 1)), *(form.columns for form in choice)])
 
 
-def _folds(problem: _Problem, model: Model) -> tuple[Floats, list[Choice], list[Floats], list[Floats]]:
+def _folds(problem: _Problem, model: Model) -> tuple[Floats, list[Choice], list[Floats]]:
     """Fit each combination of forms to all blocks of time but one, and predict this block; for each block.
 
     Returns
@@ -266,9 +266,8 @@ def _folds(problem: _Problem, model: Model) -> tuple[Floats, list[Choice], list[
         by a constant.
     best : list of Choice
         Most likely combination for each axis.
-    values, u : list of (p + 1,) and (p,) float
-        Its coefficients for each axis from a fit of all blocks, and the standard uncertainties of the
-        amplitudes (`_u`).
+    values : list of (p + 1,) float
+        Its coefficients for each axis from a fit of all blocks.
     """
     choices = _choices(problem, model)
     readings = problem.readings.reshape(BLOCKS, -1, problem.readings.shape[1])
@@ -298,21 +297,21 @@ def _folds(problem: _Problem, model: Model) -> tuple[Floats, list[Choice], list[
     best = [choices[k] for k in inside.sum(axis=1).argmin(axis=0)]
     columns = zip(best, problem.readings.T, strict=True)
     values = [np.linalg.lstsq(_design(problem, choice), y, rcond=None)[0] for choice, y in columns]
-    u = [_u(problem, choices, axis, own[1:]) for axis, own in enumerate(values)]
-    return (left**2).sum(axis=(0, 1)), best, values, u
+    return (left**2).sum(axis=(0, 1)), best, values
 
 
-def _u(problem: _Problem, choices: Sequence[Choice], axis: int, values: Floats) -> Floats:
-    """Return the standard uncertainty (p,) of the amplitudes `values` of a model on one axis.
+def _u(problem: _Problem, model: Model, axis: int) -> Floats:
+    """Return the standard uncertainty (p,) of the amplitudes of a model on one axis.
 
     It is the root mean square distance to the amplitudes that each combination of forms, kind and size of
-    slow noise gives, with the uncertainty of these, by their posterior. `choices` with another number of
+    slow noise gives, with the uncertainty of these, by their posterior. Combinations with another number of
     amplitudes take no part.
     """
+    values = problem.once(_folds, model)[2][axis][1:]
     (white, scale), free = problem.once(_noises), len(problem.readings) - 1 - len(values)
     readings = white @ problem.readings[:, axis, None]
     scores, squares = [], []
-    designs = (_design(problem, choice)[:, 1:] for choice in choices)
+    designs = (_design(problem, choice)[:, 1:] for choice in _choices(problem, model))
     for columns in (one for one in designs if one.shape[1] == len(values)):
         basis, triangle = np.linalg.qr(white @ columns)
         turned, back = basis.swapaxes(2, 3) @ readings, np.linalg.pinv(triangle)
@@ -433,7 +432,7 @@ def _figures(problem: _Problem, model: Model) -> ErrorFigures:
 
 def _residual(problem: _Problem, model: Model) -> Floats:
     """Return the residual (n, axes) of the readings after a fit of a model to each axis."""
-    _, best, values, _ = problem.once(_folds, model)
+    _, best, values = problem.once(_folds, model)
     fitted = [_design(problem, choice) @ own for choice, own in zip(best, values, strict=True)]
     return problem.readings - np.column_stack(fitted)
 
@@ -444,15 +443,16 @@ def _parameters(problem: _Problem, model: Model, which: int) -> tuple[dict[str, 
     A test at 1 % detects the smallest amplitude with 90 % probability. Amplitude k multiplies the k-th
     power: for a lag the names are `lag`, `lag2`, `lag3`.
     """
-    _, best, values, u = problem.once(_folds, model)
+    _, best, values = problem.once(_folds, model)
     first = problem.effects[model[which]].parameters[0]
     stem, letters = first.name.rsplit("_", 1)[0], problem.effects[model[which]].axes
     parameters: dict[str, Value] = {}
     for axis, choice in enumerate(best):
+        u = problem.once(_u, model, axis)
         begin = 1 + sum(form.columns.shape[1] for form in choice[:which])
         for k in range(choice[which].columns.shape[1]):
             name, unit = f"{stem}{('', 2, 3)[k]}_{letters[axis]}", first.unit + ("", "²", "³")[k]
-            parameters[name] = Value(float(values[axis][begin + k]), float(u[axis][begin - 1 + k]), unit)
+            parameters[name] = Value(float(values[axis][begin + k]), float(u[begin - 1 + k]), unit)
         if (tau_s := choice[which].tau_s) is not None:
             parameters[f"tau_{letters[axis]}"] = Value(tau_s, None, "s")
     worst = max(parameters[f"{stem}_{letter}"].u or 0.0 for letter in letters)
