@@ -94,6 +94,16 @@ def test_save_and_load_is_bit_exact(calibration, tmp_path):
         assert use(back).tobytes() == use(calibration).tobytes()
 
 
+@pytest.mark.parametrize("derived", [None, {}, {"delta_k": {"value": 0.01, "u": 1e-4, "unit": "1"}}])
+def test_a_file_that_does_not_state_the_degrees_of_freedom_of_the_ratio_is_read(tmp_path, derived):
+    document = ALL[0].as_dict()
+    del document["derived"]
+    path = tmp_path / "c.json"
+    path.write_text(json.dumps(document if derived is None else document | {"derived": derived}))
+    ratio = Calibration.load(path).delta_k
+    assert (ratio.value, ratio.u, ratio.dof) == (ALL[0].delta_k.value, ALL[0].delta_k.u, None)
+
+
 def test_a_session_is_fitted_when_it_is_loaded(tmp_path):
     session = planar_session(np.random.default_rng(8))
     write_samples_csv(session, tmp_path / "s.csv")

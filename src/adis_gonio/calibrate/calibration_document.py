@@ -123,13 +123,13 @@ DOCUMENT = fields(
         "sensor": choice(*SENSORS),
         "plane": choice("xy", "none"),
         "unit": choice("mg", "counts"),
-        "derived": _COEFFICIENTS,
         "counts_per_mg": nullable(list_of(_VALUE, 2, 3)),
         "gravity_mps2": number(1e-6, 1e6),
         "effects": list_of(_EFFECT, 0, 10_000),
         "offsets_lsb": nullable(list_of(whole(*BY_NAME["XACCL_OFF"].range), 3, 3)),
         "source": mapping_of(text),
     },
+    {"derived": _COEFFICIENTS},
     others=anything,
 )
 """Types and ranges of the entries of a calibration file."""
@@ -161,7 +161,7 @@ def _read(document: Mapping[str, Any]) -> Calibration:
         for one in document["effects"]
     )
     counts_per_mg = None if counts is None else tuple(map(float, counts))
-    shared["ratio_dof"] = document["derived"].get("delta_k", {}).get("dof")
+    shared["ratio_dof"] = document.get("derived", {}).get("delta_k", {}).get("dof")
     return _checked(Calibration(provenance=where, effects=effects, counts_per_mg=counts_per_mg, **shared))
 
 
