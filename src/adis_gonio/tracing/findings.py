@@ -264,7 +264,7 @@ def zeros_of(selection: Selection) -> dict[str, Value]:
         values = replace(fit.values, terms=(*fit.values.terms, np.zeros(len(lacking))))
         fit = Fit(data, (*fit.terms, zero), values, fit.with_prior).refit()
     stated: dict[str, Value] = {}
-    for name, (bias, slope) in biases_at_middle(fit).items():
+    for name, (bias, slope) in sorted(biases_at_middle(fit).items()):
         u = float(np.sqrt(slope @ fit.covariance @ slope * selection.inflation))
         stated[name] = Value(bias, u, "mg", dof_of(selection))
     return in_units_of_file(Finding("bias", (), stated, 1.0, 0.0, 1.0), data.unit).parameters
