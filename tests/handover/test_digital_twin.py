@@ -8,8 +8,10 @@ import pytest
 from adis_gonio import load_session, trace
 from adis_gonio.base.errors import DataError
 from adis_gonio.faces.cli import main
-from adis_gonio.fitting.estimation.readings import in_mg
+from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import in_mg, readings_of
 from adis_gonio.handover.digital_twin import compare, noise_of, simulate_like
+from adis_gonio.tracing.named_candidates import named_terms
 from recordings import recording
 
 
@@ -95,6 +97,24 @@ def test_a_session_with_other_noise_does_not_agree(session, traced, twin):
         replace(dwell, accel=dwell.accel + rng.normal(0, 12, dwell.accel.shape)) for dwell in session.dwells
     )
     assert not compare(replace(session, dwells=louder), twin, traced.fits[-1]).agrees
+
+
+def test_a_term_of_the_vibration_has_the_variance_of_the_measured_dwells(short):
+    session = load_session(short)
+    shaken = session.dwells[3]
+    noise = np.random.default_rng(6).normal(0, 200, shaken.accel.shape)
+    dwells = [replace(dwell, accel=dwell.accel + noise * (dwell is shaken)) for dwell in session.dwells]
+    session = replace(session, dwells=tuple(dwells))
+    data = readings_of(session)
+    (term,) = (one for one in named_terms(data)[0] if one.label == "vibration_rectification[xy]")
+    plain = Fit.begin(data).refit()
+    fits = plain, plain.with_terms([term], [np.array([3000.0, -2000.0])])
+    off, on = (
+        [dwell.accel[:, :2].mean(axis=0) for dwell in simulate_like(session, fit, seed=1).dwells]
+        for fit in fits
+    )
+    shift_lsb = data.conditions.variance_mg2 / 1e6 * [3000.0, -2000.0] / 0.4672
+    assert np.array(on) - off == pytest.approx(shift_lsb, abs=0.2)
 
 
 def test_the_twin_of_a_real_recording_has_its_noise():

@@ -145,7 +145,7 @@ class TermEffect(Effect):
     def _seen(self, conditions: Conditions) -> Conditions:
         measured, variance = self.data.conditions, None
         if measured.variance_mg2 is not None and conditions.order is not None:
-            variance = np.take(measured.variance_mg2, conditions.order.astype(np.intp), mode="clip")
+            variance = np.take(measured.variance_mg2, conditions.order.astype(np.intp), axis=0, mode="clip")
         return replace(
             conditions,
             time_s=conditions.time_s - self.offset_s,
