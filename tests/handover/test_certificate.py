@@ -124,11 +124,15 @@ def test_numbers_and_dates_are_those_of_a_fit_with_few_readings_over_midnight(tm
 
 def test_the_values_are_stated_with_their_temperature():
     plain, heated = calibration(PLANE), calibration(PLANE, {"bias_temperature": (0.31, 0.4)})
-    assert "acceleration, at 25 °C and 5 V." in certificate_text(heated)
+    assert "acceleration, at 25 °C." in certificate_text(heated)
     assert "acceleration, at the session's mean conditions." in certificate_text(plain)
-    assert "hold at 25 °C and 5 V" in registers_text(heated)
+    assert "hold at 25 °C.\n" in registers_text(heated)
     assert "hold at the session's mean conditions" in registers_text(plain)
-    assert "gravity: the values hold at 25 degC and 5 V" in c_header(heated)
+    assert "gravity: the values hold at 25 degC\n" in c_header(heated)
+    # The supply's effect alone leaves the values at the temperature of the session.
+    assert calibration(PLANE, {"supply_bias": (0.3, 0.4)}).holds_at == "5 V"
+    both = calibration(PLANE, {"bias_temperature": (0.31, 0.4), "supply_bias": (0.3, 0.4)})
+    assert both.holds_at == "25 °C and 5 V"
 
 
 def test_what_nobody_stated_is_not_invented():

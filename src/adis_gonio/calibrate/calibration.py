@@ -139,8 +139,8 @@ class Coefficients(ParameterTable, eq=False, kw_only=True):
     @property
     def holds_at(self) -> str:
         """Text with the temperature and supply at which the values of the parameters hold."""
-        known = {"temperature_c", "supply_v"} & {*self.needs}
-        return f"{REFERENCE_C:g} °C and {REFERENCE_V:g} V" if known else "the session's mean conditions"
+        at = {"temperature_c": f"{REFERENCE_C:g} °C", "supply_v": f"{REFERENCE_V:g} V"}
+        return " and ".join(at[one] for one in at if one in self.needs) or "the session's mean conditions"
 
     @property
     def values(self) -> Floats:
