@@ -142,7 +142,9 @@ def test_a_tolerance_that_makes_no_sense_is_refused(given, text):
         Tolerance(*given)
 
 
-@pytest.mark.parametrize(("error", "least"), [(1.0179, "±1.1°"), (0.03, "±0.030°"), (0.0612, "±0.062°")])
+@pytest.mark.parametrize(
+    ("error", "least"), [(1.0179, "±1.1°"), (0.03, "±0.030°"), (0.1, "±0.10°"), (0.0612, "±0.062°")]
+)
 def test_the_tolerance_that_is_said_to_pass_would_pass(error, least):
     exact = ErrorCurve(np.zeros(1), np.array([error]), np.zeros((1, 1)))
     assert f"{least} would just pass" in Tolerance(0.001).decide(exact).reason

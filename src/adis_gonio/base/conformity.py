@@ -221,7 +221,7 @@ class Conformity(JsonRecord):
     @property
     def reason(self) -> str:
         """Text of one line: the risk of a wrong statement, and the smallest tolerance that would pass."""
-        least = format_number(float(Context(2, ROUND_CEILING).create_decimal(self.bound_deg)), 2)
+        least = format_number(float(Context(2, ROUND_CEILING).create_decimal(str(self.bound_deg))), 2)
         accept = f"risk of a false accept {format_percent(self.false_accept)}"
         reject = f"risk of a false reject {format_percent(self.false_reject)}"
         risks = {"pass": accept, "fail": reject}.get(self.verdict, f"{accept}, {reject}")
