@@ -131,7 +131,9 @@ def test_empty_cells_of_a_position_have_its_value(tmp_path):
 def test_an_empty_temperature_is_named_with_its_row(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("time_s,position,ax,ay,temp_c\n0,0,1,2,25\n1,0,1,2,\n")
-    with pytest.raises(DataError, match=r"row 3: column 'temp_c': empty; fill it, or drop the column"):
+    with pytest.raises(
+        DataError, match="row 3: column 'temp_c': empty; fill it, or drop its row or column"
+    ):
         read_samples_csv(path)
 
 

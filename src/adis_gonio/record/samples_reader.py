@@ -323,7 +323,7 @@ class SamplesTable:
             value = self._plain_number(cell)
         except ValueError:
             other, own = (".", "comma") if self._decimal == "," else (",", "point")
-            wrong = f"'{cell}' is not a number" if cell else "empty; fill it, or drop the column"
+            wrong = f"'{cell}' is not a number" if cell else "empty; fill it, or drop its row or column"
             wrong += f" in a file with decimal {own}s" if other in cell else ""
         else:
             if abs(value) <= COLUMNS[name].largest:
