@@ -137,7 +137,8 @@ def read_session(path: str | Path) -> Session:
     `doubts` (guards that were overruled), `remarks` (of the operator), `scanning` (how scans were read),
     `problems`, `advised` (requests of an advisor, round by round), `turned` (the gyros' integrals between
     dwells, as computed on the bench), `offset_writes` (steps of `adis_gonio.bench.writeback` since then),
-    `complete`, and for simulated sessions `truth`, which no fit may use.
+    `complete`, `started_utc`, `ended_utc` (begin of the last dwell), and for simulated sessions `truth`,
+    which no fit may use.
 
     Raises
     ------
