@@ -39,8 +39,11 @@ SESSIONS = {
     "uncatalogued": [list(GRAMMAR).index(name) for name in ENTRIES],
     "beyond": range(0, len(BEYOND), 5),
     SPACE + "none": range(2),
-    SPACE + "one": range(0, len(SPACE_NAMES), 4),
-    SPACE + "two": range(1, 3),
+    SPACE + "one": [
+        SPACE_NAMES.index(name)
+        for name in ("quadratic", "scale_temperature", "supply_bias", "outlier_dwell")
+    ],
+    SPACE + "two": (1, 2, 20),
 }
 """Numbers of the sessions; those of "two" are `each_name_in_two`, which takes a while."""
 
