@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 
 import numpy as np
@@ -175,16 +174,17 @@ def test_a_part_that_turns_by_and_by_has_not_slipped_and_one_that_slips_has(gyro
     gone = np.linspace(0, 1, 24)
     courses = {"line": gone, "bends": gone**2, "settles": 1 - np.exp(-4 * gone), "step": 1.0 * (gone > 0.5)}
     said = {name: [] for name in courses}
-    for seed, (name, course) in itertools.product(range(4), courses.items()):
-        found = diagnose(*angles(around + 0.9 * course, around, seed=seed, gyro=gyro))
-        said[name].append([one.finding for one in found])
-    assert [said[name].count([]) for name in ("line", "bends", "settles")] == [4, 4, 4]
+    for name, course in courses.items():
+        for seed in range(4 if name == "step" else 8):
+            found = diagnose(*angles(around + 0.9 * course, around, seed=seed, gyro=gyro))
+            said[name].append([one.finding for one in found])
+    assert [said[name].count([]) for name in ("line", "bends", "settles")] == [8, 8, 8]
     assert said["step"].count(["slipped"]) >= 3
 
 
 def test_the_zero_of_an_axis_that_moves_by_and_by_accuses_no_position():
     around = np.arange(24) * 15.0
-    for seed in range(4):
+    for seed in range(8):
         rng = np.random.default_rng(seed)
         pushed = dict(enumerate(np.cumsum(rng.normal(0, 2.0 / np.sqrt(24), (24, 2)), axis=0)))
         assert diagnose(*angles(around, around, seed=seed, gyro=False, push_mg=pushed)) == ()
