@@ -218,8 +218,11 @@ def test_two_positions_say_which_bias_was_assumed_and_give_angles_by_the_ratio(m
     session = planar_session(
         np.random.default_rng(6), alpha_deg=0.0, delta_phi_deg=0.05, bias=(0.0, 0.0), angles_deg=(0, 90)
     )
-    calibration = adis_gonio.fit(session, method=method).calibration()
+    result = adis_gonio.fit(session, method=method)
+    calibration = result.calibration()
     assert {"bias_x", "bias_y"} <= set(calibration.assumed)
+    assert calibration.delta_k.dof == result["delta_k"].dof < math.inf
+    assert method != "paper" or calibration["scale_x"].dof == result["delta_k"].dof
     accel = read_mg(turn(PSI), gains=(1.01, 0.99), axes=plane_axes(0.05), bias=(0.0, 0.0))
     assert np.abs(wrapped(calibration.angle(accel).angle_deg - PSI)).max() < 0.05
 
