@@ -96,10 +96,13 @@ def test_the_end_of_the_input_ends_the_session_and_resume_goes_on(bench):
     status, said, path = bench("", "--plan", "tumble", "--resume")
     assert status == 2
     assert "has the plan four-position with 4 positions" in said.err
-    # The same command again, with --resume, goes on.
-    status, said, path = bench("\n\n\n", "--plan", "four-position", "--resume")
-    assert status == 0
+    # The same command again, with --resume, goes on; so it does with the plan's number of positions.
+    status, said, _ = bench("\n", "--plan", "four-position", "--resume")
+    assert status == 1
     assert "1 of 4 positions done" in said.err
+    status, said, path = bench("\n\n", "--positions", "4", "--resume")
+    assert status == 0
+    assert "2 of 4 positions done" in said.err
     assert len(load_session(path).dwells) == 4
 
 

@@ -292,8 +292,15 @@ def test_listing_all_registers_leaves_status_alone(capsys):
 
 def test_registers_can_save_to_flash(capsys):
     assert main(["registers", SIM, "XACCL_OFF=5", "ENDURANCE", "--save", "--json"]) == 0
-    rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)["registers"]}
+    told = capsys.readouterr()
+    rows = {row["name"]: row for row in json.loads(told.out)["registers"]}
     assert rows["ENDURANCE"]["number"] == 1
+    assert not told.err
+
+
+def test_a_written_register_is_volatile_until_it_is_saved(capsys):
+    assert main(["registers", SIM, "XACCL_OFF=5", "--json"]) == 0
+    assert "--save" in capsys.readouterr().err
 
 
 def test_stream_records_a_csv_that_holds_every_scan(capsys, tmp_path):
