@@ -37,10 +37,10 @@ checker=$!
 trap 'rm -rf "$types" ${in_memory:+"$in_memory"}; kill "$checker" 2>/dev/null || true' EXIT
 # In a fresh clone each worker would compile the tests, which takes longer than to import them: it is done once.
 [ -d tests/__pycache__ ] || .venv/bin/pytest --collect-only -qq ${selection[@]+"${selection[@]}"} "$@" >/dev/null 2>&1 || true
-# Some tests wait for programs and clocks, so half as many workers again as cores keep the cores busy.
+# Some tests wait for programs and clocks, so twice as many workers as cores keep the cores busy.
 # A worker that has run its tests takes half of the tests that another one still has.
 status=0
-.venv/bin/pytest -n $((cores + cores / 2)) --dist worksteal ${selection[@]+"${selection[@]}"} "$@" || status=$?
+.venv/bin/pytest -n $((2 * cores)) --dist worksteal ${selection[@]+"${selection[@]}"} "$@" || status=$?
 wait "$checker" || status=1
 cat "$types"
 exit "$status"
