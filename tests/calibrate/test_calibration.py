@@ -321,8 +321,17 @@ def test_what_the_chip_corrects_now_is_not_corrected_again():
     accel = np.array([[712.0, 650.0]])
     shifted = accel + np.array([-26 * lsb, 15 * lsb])
     assert now.angle(shifted).angle_deg == pytest.approx(then.angle(accel).angle_deg, abs=1e-9)
-    with pytest.raises(UsageError, match="does not state the contents of the offset"):
-        known().with_offsets((0, 0, 0))
+    # Counts of an unknown scale cannot be moved by registers in steps of 0.4672 mg.
+    counts = replace(then, provenance=replace(then.provenance, counts=True))
+    for unknown in (known(), counts):
+        with pytest.raises(UsageError, match="does not state the contents of the offset"):
+            unknown.with_offsets((0, 0, 0))
+
+
+def test_a_coefficient_is_shown_with_the_coverage_factor_of_its_degrees_of_freedom():
+    # Student's t at 95 %: 3.182 for 3 degrees of freedom; 1.960 without any limit.
+    assert "3.2" in str(Coefficient("bias_x", 100.0, 1.0, "mg", 3.0))
+    assert "2.0" in str(Coefficient("bias_x", 100.0, 1.0, "mg"))
 
 
 def test_a_result_of_readings_has_no_session_to_be_calibrated_from():
