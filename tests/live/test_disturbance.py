@@ -24,9 +24,10 @@ def test_the_sensors_noise_alone_is_no_disturbance():
     assert np.mean([one.white_mg2 for one in found]) == pytest.approx(1.44, rel=0.1)
 
 
-def test_a_tremor_is_found_with_its_size_and_colour():
+# A ringing at 0.13 and at 0.25 cycles a step.
+@pytest.mark.parametrize(("first", "second"), [(1.2, -0.8), (0.0, -0.6)])
+def test_a_tremor_is_found_with_its_size_and_colour(first, second):
     rng = np.random.default_rng(2)
-    first, second = 1.2, -0.8  # rings at 0.13 cycles a step
     variance = process(rng, 100_000, first, second, 3.0).real.var()
     made = [process(rng, 75, first, second, 3.0) + white(rng, 75, 1.0) + 1000 for _ in range(200)]
     found = [disturbance_of(level, 50, 1.0) for level in made]
