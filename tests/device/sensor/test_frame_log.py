@@ -233,3 +233,11 @@ def test_a_capture_without_a_signal_names_the_signals_that_it_has(tmp_path: Path
     path.write_text("time,cs,sclk\n0,1,1\n")
     with pytest.raises(DataError, match="no VCD file"):
         LogicCapture(path)
+
+
+def test_of_two_signals_for_one_line_the_more_usual_name_is_taken(tmp_path: Path) -> None:
+    path = tmp_path / "capture.vcd"
+    write_vcd(path, [(100, 1000, 0x3600, 0x0402, 16)], "CS SCLK MOSI MISO")
+    path.write_text(path.read_text().replace("$upscope", "$var wire 1 ( CLK $end\n$upscope"))
+    rows = FrameLog(variant("adis16354")).rows(LogicCapture(path))
+    assert [row.frame for row in rows if row.frame is not None] == [0x3600]
