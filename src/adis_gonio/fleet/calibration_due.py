@@ -332,8 +332,8 @@ def _control_chart(history: History, limits: Rules) -> Rule:
         )
         return Rule(method, date_of(last + LONGEST_DAYS), why, assumes)
     drifts_text = ", ".join(
-        f"{NAMES.get(name, name)} {format_uncertain(one.value, one.U, one.unit, sign=True)}"
-        for name, one in ((name, drift.slope) for name, drift in drifts.items())
+        f"{NAMES.get(m, m)} {format_uncertain(one.slope.value, one.slope.U, one.slope.unit, sign=True)}"
+        for m, one in drifts.items()
     )
     why = f"the error conforms to {limit} until {good} d after the last calibration, by {drifts_text}"
     return Rule(method, date_of(last + good), why, assumes)

@@ -306,8 +306,8 @@ def _show_registers(
             listed.append([f"  {field.name}", bits, *held, field.meaning])
     screen = console()
     print_table(screen, head, listed, {0, 1, len(head) - 1} | (set() if with_values else {3, 4}))
-    for letter, meaning in () if with_values else CONFIDENCES.items():
-        screen.print(f"evidence {letter}: {meaning}")
+    if not with_values:
+        screen.print("\n".join(f"evidence {letter}: {meaning}" for letter, meaning in CONFIDENCES.items()))
 
 
 def _register_document(row: Register, quantity: Any) -> dict[str, Any]:
