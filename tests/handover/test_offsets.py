@@ -31,7 +31,7 @@ def test_offsets_that_stood_already_are_kept_in_the_sum():
     held = replace(own, provenance=replace(own.provenance, offsets_lsb=(5, -7, 0)))
     assert [word.number for word in offset_words(held)] == [-26 + 5, 60 - 7]
     assert "5 before" in registers_text(held)
-    assert "does not state the contents of the registers" in registers_text(own)
+    assert "does not state the contents of these registers" in registers_text(own)
 
 
 def test_the_lines_are_what_the_registers_command_takes_and_the_bias_is_gone(capsys):

@@ -164,22 +164,19 @@ def registers_text(calibration: Calibration) -> str:
         "# Write them: adis-gonio registers URL $(grep -v '^#' THIS_FILE)  # and --save for flash",
         "# The part adds them to its outputs; coefficients exported before hold for the old offsets only.",
     ]
-    words = offset_words(calibration)
-    if words[0].before is None:
-        lines.append("# The session does not state the contents of the registers: the numbers assume 0.")
-    lines += _lines(words, "bias", 3, calibration)
+    lines += _lines(offset_words(calibration), "bias", 3, calibration)
     lines += [f"# Not corrected: {one.effect}: {one.reason}." for one in calibration.not_corrected]
     if gyro is not None:
         if gyro.source != where.source:
             lines.append(f"# Gyros from {gyro.source or 'a session not stated'}.")
-        if gyro.offsets_lsb is None and words[0].before is not None:
-            lines.append("# The contents of their registers are not stated: the numbers assume 0.")
         lines += _lines(gyro_offset_words(gyro), "zero rate", 4, gyro)
     return "\n".join(lines) + "\n"
 
 
 def _lines(words: Sequence[OffsetWord], label: str, digits: int, of: Coefficients) -> list[str]:
     lines = [f"# The values hold at {of.holds_at}."]
+    if words[0].before is None:
+        lines.append("# The session does not state the contents of these registers: the numbers assume 0.")
     for word in words:
         u = "unknown" if word.u is None else f"{word.u:.2g} {word.unit}"
         held = "" if word.before is None else f", {word.before} before"
