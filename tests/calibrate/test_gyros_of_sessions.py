@@ -19,10 +19,12 @@ from adis_gonio.calibrate import GyroCalibration
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting.gyros.gyro_fit import gains_and_directions
+from adis_gonio.handover.register_offsets import offset_words_in
 from adis_gonio.handover.session_export import ExportSource
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.provenance import provenance_of
 from adis_gonio.record.samples_writer import write_samples_csv
+from adis_gonio.tracing import trace_calibrations
 from adis_gonio.tracing.trace_calibrations import gyro_calibration_of, load_gyro_calibration, with_gyros
 from bench.writeback.gyro_rig import FAULTS, gyro_numbers
 from bench.writeback.rig import new_bus, record
@@ -123,6 +125,15 @@ def test_the_gyros_of_another_session_are_traced_where_the_trace_is_exported(pat
     assert load_gyro_calibration(path).method == "gyro"
     source = ExportSource(path, traced=True, gyros=path)
     assert source._with_gyros(adis_gonio.fit(path).calibration()).gyro.method == "trace"
+
+
+def test_registers_compare_a_session_s_offsets_after_one_fit_of_its_gyros(path, fitted, monkeypatch):
+    fits = []
+    monkeypatch.setattr(trace_calibrations, "fit_gyro", lambda session: fits.append(session) or fitted)
+    words, refused = offset_words_in(path)
+    assert not refused
+    assert len(fits) == 1
+    assert [word.bias for word in words[3:]] == list(fitted.calibration().bias_dps)
 
 
 def test_the_calibration_of_a_fit_or_trace_holds_with_the_offsets_written_since(path, traced, tmp_path):

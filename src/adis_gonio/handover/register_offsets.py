@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from adis_gonio.base.errors import AdisGonioError, FitError
@@ -135,15 +135,18 @@ def offset_words_in(path: str | Path) -> tuple[tuple[OffsetWord, ...], tuple[str
     """
     words: list[OffsetWord] = []
     refused: list[AdisGonioError] = []
-    finds: tuple[Callable[[], tuple[OffsetWord, ...]], ...] = (
-        lambda: offset_words(load_calibration(path)),
-        lambda: gyro_offset_words(load_gyro_calibration(path)),
-    )
-    for find in finds:
-        try:
-            words += find()
-        except AdisGonioError as error:
-            refused.append(error)
+    gyro: GyroCalibration | None = None
+    try:
+        calibration = load_calibration(path)
+        gyro = calibration.gyro
+        words += offset_words(calibration)
+    except AdisGonioError as error:
+        refused.append(error)
+    try:
+        # A second load gives the gyros if the accelerometers failed, or the reason if there are none.
+        words += gyro_offset_words(gyro or load_gyro_calibration(path))
+    except AdisGonioError as error:
+        refused.append(error)
     if not words:
         raise refused[0]
     return tuple(words), tuple(map(str, refused))
