@@ -104,6 +104,23 @@ def test_the_end_of_the_input_ends_the_session_and_resume_goes_on(bench):
     assert status == 0
     assert "2 of 4 positions done" in said.err
     assert len(load_session(path).dwells) == 4
+    # Of a complete session too, another plan is refused and its own is not.
+    status, said, _ = bench("", "--plan", "tumble", "--resume")
+    assert status == 2
+    assert "has the plan four-position with 4 positions" in said.err
+    status, said, _ = bench("", "--plan", "four-position", "--resume")
+    assert status == 0
+    assert "complete" in said.err
+
+
+def test_an_extended_session_resumes_with_the_plan_that_it_began_with(bench):
+    begun = ("--plan", "two-position")
+    status, said, _ = bench("", "--auto", "--extend", *begun)
+    assert status == 0
+    status, said, path = bench("", "--resume", *begun)
+    assert status == 0
+    assert "complete" in said.err
+    assert len(load_session(path).dwells) == 4
 
 
 def test_metadata_is_not_asked_of_a_pipe_and_is_kept_where_it_is_given(bench, capsys):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -162,9 +163,11 @@ def calibrate_command(
     )
     advisor = TraceAdvisor(MOST_EXTRA if max_extra is None else max_extra) if closing else None
     complete = on_screen = False
-    if resume and not closing:
+    if resume:
         with ArchiveView(output) as view:
-            complete = not view.pending() and extension(view.plan(), len(view.dwells())) is None
+            _refuse_another_plan(view.header.plan, output, options)
+            done = not view.pending() and extension(view.plan(), len(view.dwells())) is None
+        complete = done and not closing
     if complete:
         click.echo(f"{output}: complete, nothing is left to do", err=True)
     else:
@@ -305,23 +308,11 @@ def _runner(
     from adis_gonio.bench.runner import SessionRunner
     from adis_gonio.device.sensor.driver import DEFAULT_SCAN
     from adis_gonio.faces.cli.terminal import on_terminal
-    from adis_gonio.record.archive import ArchiveView
     from adis_gonio.record.plans import GYRO_TURNS
     from adis_gonio.record.session_reader import FREE_TURN
 
     plan_name, auto, extend = (options[name] for name in ("plan_name", "auto", "extend"))
     if resume:
-        if any(options[name] is not None for name in ("plan_name", "positions", "turns")):
-            with ArchiveView(output) as view:
-                own = view.plan()
-            asked = _choose_plan(plan_name or own.name, options)
-            if (asked.name, asked.turns, asked.positions) != (
-                own.name, own.turns, own.positions[: len(asked)],
-            ):  # fmt: skip
-                raise UsageError(
-                    f"{output} has the plan {own.name} with {counted(len(own), 'position')}: leave --plan,"
-                    " --positions and --turns out"
-                )
         option.refuse(("poll",), "--resume gets its scans as the session did before")
         return SessionRunner.resume(sensor, output, auto=auto, extend=extend, advisor=advisor)
     gravity, fixture = options["gravity_mps2"], options["fixture_deg"]
@@ -372,6 +363,18 @@ def _metadata(options: dict[str, Any], *, ask: bool) -> dict[str, str]:
             given = click.prompt(f"{what} (Enter: none)", default="", show_default=False, err=True)
         written[name] = given or ""
     return written
+
+
+def _refuse_another_plan(own: Plan, output: Path, options: dict[str, Any]) -> None:
+    """Raise `UsageError` if the options ask for another plan than the session in `output` began with."""
+    if all(options[name] is None for name in ("plan_name", "positions", "turns")):
+        return
+    asked = _choose_plan(options["plan_name"] or own.name, options)
+    if asked != replace(own, positions=own.positions[: len(asked)]):
+        raise UsageError(
+            f"{output} has the plan {own.name} with {counted(len(own), 'position')}: leave --plan,"
+            " --positions and --turns out"
+        )
 
 
 def _choose_plan(name: str | None, options: dict[str, Any]) -> Plan:
