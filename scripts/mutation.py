@@ -36,6 +36,7 @@ import builtins
 import contextlib
 import difflib
 import gc
+import importlib
 import itertools
 import math
 import os
@@ -307,9 +308,10 @@ class Watch:
             self.cost_s[item.nodeid] += time.process_time() - began
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Leave out a test that fails without any mutant, such as one whose fixture was stopped."""
+        """Leave out a test that fails without any mutant or is skipped, as if its fixture was stopped."""
         if report.failed:
             self.failed.append(report.nodeid)
+        if not report.passed:
             self.cost_s[report.nodeid] = math.inf
 
     def _stop(self, item: pytest.Item) -> None:
@@ -348,9 +350,29 @@ print(*reached)
 """
 
 
+def module_of(copy: Path, path: Path) -> str:
+    """Return the name of the module in a file."""
+    return ".".join(path.relative_to(copy / "src").with_suffix("").parts).removesuffix(".__init__")
+
+
+def import_all(copy: Path) -> None:
+    """Import the modules of the package, and all that their functions import.
+
+    A probe needs a module's functions, and no test shall have the cost of an import that comes late.
+    """
+    for path in sorted((copy / SOURCE).rglob("[!_]*.py")):  # not __main__, which runs the program
+        names = [module_of(copy, path)]
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
+        for name in names:
+            with contextlib.suppress(ImportError):
+                importlib.import_module(name)
+
+
 def reached_at_import(copy: Path, probed: Mapping[Path, ast.Module]) -> set[str]:
     """Return the mutants whose statements run when their modules are imported, by another interpreter."""
-    modules = [".".join(path.relative_to(copy / "src").with_suffix("").parts) for path in probed]
+    modules = [module_of(copy, path) for path in probed]
     before = {path: path.read_text("utf-8") for path in probed}
     try:
         for path, tree in probed.items():
@@ -491,6 +513,7 @@ def watched(
     files = list(dict.fromkeys(_file_of(item.nodeid) for item in session.items))
     lines = lines_of_functions(copy, items)
     probed = {path: with_probes(path.read_text("utf-8"), jobs) for path, jobs in lines.items()}
+    import_all(copy)
 
     def work(share: int) -> int:
         session.config.pluginmanager.register(watch)
