@@ -11,12 +11,15 @@ from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.handover import paper_study as through_chip
 from adis_gonio.handover.paper_study import (
     DELTA_K,
+    METHODS,
     TABLE,
+    TRACED,
     Study,
     crossing_deg,
     estimates_of,
     measured,
     propagated_errors,
+    reproduce,
     url_of,
     verdicts,
 )
@@ -126,10 +129,34 @@ def test_the_spread_is_of_the_sessions_that_a_method_answered():
     assert spread.error == pytest.approx(math.sqrt(0.5))
 
 
-def test_the_printed_table_has_mmpm_nearer_everywhere_but_for_the_sign_of_n(small):
+def test_a_study_applies_every_method_to_each_part_and_traces_the_first_of_each_column():
+    study = reproduce(7, 2)
+    for column in "xy":
+        first, second = study.results[column]
+        assert set(first) == set(METHODS)
+        assert set(second) == set(METHODS) - {TRACED}
+        assert first["ml"] != second["ml"]
+        for one in (first, second):
+            assert one["mmpm"]["bias_x"][0] == pytest.approx(-3.0, abs=2)
+
+
+@pytest.mark.parametrize(("sessions", "traced"), [(2, 1), (5, 1), (9, 1), (10, 2)])
+def test_a_fifth_of_the_parts_is_traced_and_a_seed_draws_the_same_parts(monkeypatch, sessions, traced):
+    monkeypatch.setattr(through_chip, "results_of", lambda *asked: asked)
+    results = reproduce(7, sessions).results
+    assert results == reproduce(7, sessions).results != reproduce(8, sessions).results
+    for column in "xy":
+        urls, flags = zip(*results[column], strict=True)
+        assert flags == (True,) * traced + (False,) * (sessions - traced)
+        assert len(set(urls)) == sessions
+        angle = {"x": 0.0612, "y": 0.0673}[column]
+        assert all(f"&delta_phi_deg={angle}&" in url for url in urls)
+
+
+def test_the_printed_table_has_mmpm_nearer_everywhere_but_for_the_sign_of_n():
     nearer = [row.name for row in TABLE if abs(row.paper - row.measured) < abs(row.mmpm - row.measured)]
     assert nearer == ["N, X", "N, Y"]
-    assert f"in {len(nearer)} of 6 rows, the rows of N" in verdicts(small)[-1]
+    assert f"in {len(nearer)} of 6 rows, the rows of N" in verdicts(Study(1, 0, {"x": [], "y": []}))[-1]
 
 
 def test_a_method_that_refuses_a_session_has_no_result(monkeypatch):
