@@ -62,7 +62,7 @@ def session_file(path: Path, places: int = 4) -> Path:
     return path
 
 
-def test_a_free_turn_counts_the_scans_that_it_lost_itself(tmp_path):
+def test_a_free_turn_counts_the_scans_that_it_lost_itself_and_states_its_end(tmp_path):
     path = tmp_path / "a.session"
     with begun(path, plan=Plan("free-turn", (Position(None, 0),), turns=2)) as archive:
         archive.add_record("scanning", {"how": "polled", "caveat": "rows may mix updates"}, 100.0)
@@ -70,10 +70,12 @@ def test_a_free_turn_counts_the_scans_that_it_lost_itself(tmp_path):
             (0, 70, "interrupted", "the cable"), (10, 1, "interrupted", GOES_ON), (20, 2, "complete", "")
         ):  # fmt: skip
             words = replace(block(seed, lost=lost), dropped=lost)
-            turn = Attempt(0, Position(None, 0), ended, utc_now(), seed, seed + 2.0, [("dwell", words)])
+            began = f"2026-03-01T23:59:{30 + seed}Z"
+            turn = Attempt(0, Position(None, 0), ended, began, seed, seed + 2.0, [("dwell", words)])
             archive.add_attempt(replace(turn, reason=reason))
     session = read_session(path)
     assert len(session.recording) == 100
+    assert session.facts["ended_utc"] == "2026-03-01T23:59:50Z"
     assert session.notes == (
         "3 scans lost on the bus during the turn",
         f"3 scans during the turn left out: {WITHOUT_NEWS}",

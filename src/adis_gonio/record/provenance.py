@@ -65,8 +65,8 @@ class Provenance:
     sha256 : str
         Digest of the session's data (`digest_of`), which does not depend on the kind of file.
     recorded_utc, ended_utc : str
-        Begin of the session, and of its last dwell or sample (ISO 8601); empty if the file does not state
-        them.
+        Begin of the session, and of its last dwell, piece of a free turn or sample (ISO 8601); empty if
+        the file does not state them.
     software : str
         Program that made the result.
     temperature_c, supply_v : Covered or None

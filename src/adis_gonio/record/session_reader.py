@@ -137,8 +137,8 @@ def read_session(path: str | Path) -> Session:
     `doubts` (guards that were overruled), `remarks` (of the operator), `scanning` (how scans were read),
     `problems`, `advised` (requests of an advisor, round by round), `turned` (the gyros' integrals between
     dwells, as computed on the bench), `offset_writes` (steps of `adis_gonio.bench.writeback` since then),
-    `complete`, `started_utc`, `ended_utc` (begin of the last dwell), and for simulated sessions `truth`,
-    which no fit may use.
+    `complete`, `started_utc`, `ended_utc` (begin of the last dwell, or of the last piece of a free turn),
+    and for simulated sessions `truth`, which no fit may use.
 
     Raises
     ------
@@ -157,9 +157,8 @@ def read_session(path: str | Path) -> Session:
             raise DataError(f"{path}: no dwell is complete yet; resume the session")
         dropped = _dropped(view)
         joined = [join(view.blocks(attempt, "dwell")) for attempt in stored]
-        facts = _facts(view) | {
+        facts = _facts(view, stored) | {
             "complete": not pending,
-            "ended_utc": max(attempt.started_utc for attempt in stored),
             "dwells": [
                 {
                     "place": attempt.place,
@@ -193,7 +192,7 @@ def _free_turn(path: str | Path, view: ArchiveView) -> Session:
     series: dict[str, Any] = {
         name: np.concatenate([part[name] for _, _, part in parts]) for name in parts[0][2]
     }
-    facts = _facts(view) | {"complete": not reason, "dwells": [], "broken_off": reason}
+    facts = _facts(view, attempts) | {"complete": not reason, "dwells": [], "broken_off": reason}
     notes = [doubt["message"] for doubt in facts["doubts"]]
     if reason:
         length_s = time_s[-1] - time_s[0]
@@ -216,8 +215,11 @@ def _dropped(view: ArchiveView) -> dict[int, int]:
     return {one["attempt"]: one["scans"] for one in view.values("dropped")}
 
 
-def _facts(view: ArchiveView) -> JsonDict:
-    """Return facts that both sessions of dwells and free turns have, such as settings and plan."""
+def _facts(view: ArchiveView, attempts: Sequence[Attempt]) -> JsonDict:
+    """Return facts that both sessions of dwells and free turns have, such as settings and plan.
+
+    `attempts` are the dwells of the session, or the pieces of its free turn.
+    """
     header, truth = view.header, view.last("truth")
     return {
         "url": header.url,
@@ -226,6 +228,7 @@ def _facts(view: ArchiveView) -> JsonDict:
         "simulated": header.simulated or header.url.startswith("sim:"),
         "software": header.software,
         "started_utc": header.created_utc,
+        "ended_utc": max(attempt.started_utc for attempt in attempts),
         "settings": dict(header.settings),
         "plan": view.plan().as_dict(),
         "configuration": view.last("configuration"),
