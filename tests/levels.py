@@ -122,7 +122,6 @@ SLOW = frozenset(
         "fitting/slips",
         "fitting/test_flicker.py",
         "fitting/test_free_turn.py",
-        "fitting/test_sweeps.py",
         "fitting/test_uncertainty.py",
         "fleet/test_fleet_command.py",
         "fleet/test_fleet_processes.py",
