@@ -100,6 +100,28 @@ def test_samples_in_other_blocks_give_the_same_angles():
     assert [way.u_deg for way in ways] == pytest.approx([ways[0].u_deg] * 3, abs=1e-12)
 
 
+@pytest.mark.parametrize("lag_s", [0.0, 0.25])
+def test_the_rate_is_that_of_the_turn_without_the_errors_of_the_gyro(lag_s):
+    turning = Turning(turn_deg=600.0, zero_dps=3.0, scale=1.03, noise=0.1)
+    angles = told(AngleSmoother(sensing(turning), lag_s=lag_s), turning.drawn(6))
+    off = np.array([a.rate_dps - turning.rate(np.array(a.time_s)) for a in angles])
+    late = during(angles, 5.3, 10)  # half a turn has shown the error of the gain
+    assert max(angle.rate_dps for angle in angles) > 400
+    assert np.abs(off[late]).max() < 1.5
+    assert angles[-1].zero_dps == pytest.approx(3.0, abs=4 * angles[-1].zero_u_dps)
+    assert angles[-1].zero_u_dps < 0.1
+
+
+def test_nothing_is_known_of_the_angle_after_a_long_gap_until_gravity_is_seen():
+    time_s, accel, gyro = Turning(turn_deg=0.0).drawn(14)
+    kept = (time_s < 3) | (time_s > 7)
+    accel[time_s < 8] *= np.where(time_s[time_s < 8] > 7, 0.0, 1.0)[:, None]
+    angles = told(AngleSmoother(sensing(Turning()), lag_s=0.0), (time_s[kept], accel[kept], gyro[kept]))
+    assert min(angle.u_deg for angle in angles if 7.1 < angle.time_s < 7.9) > 80
+    assert angles[-1].u_deg < 1
+    assert abs(angles[-1].angle_deg - 20) < 1
+
+
 @pytest.mark.parametrize("turn_deg", [1500.0, -1500.0])
 def test_turns_through_180_degrees_have_no_jump(turn_deg):
     turning = Turning(turn_deg=turn_deg, end_s=24.0, seconds=26.0, zero_dps=-1.0, scale=0.99)

@@ -288,7 +288,7 @@ class Stepper:
         back = np.exp(-1j * np.radians(turn[:, 2] - mean_turn[2]))
         level = complex(((accel[:, 0] - 1j * accel[:, 1]) * back).mean())
         rate = rates.mean(axis=0)
-        if self._rate_before is not None and length_s > 0:
+        if self._rate_before is not None:
             # Exponential mean over one second of squared changes of the rate.
             seen = (float(rate[2]) - self._rate_before) ** 2 / length_s
             self._walk += min(1.0, length_s) * (seen - self._walk)
@@ -816,7 +816,7 @@ class AngleSmoother:
         length_s = present.length_s
         turn = present.turned_deg
         force = accel
-        if length_s > 0 and before is not None:
+        if before is not None:
             force = 0.5 * (accel + before.accel_mg)
             turn = self._gyros.corrected(turn / length_s, force, warm) * length_s
         earlier = present if before is None or present.gap_s > BEGIN_S else before
