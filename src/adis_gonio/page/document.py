@@ -100,7 +100,7 @@ def inline_svg(drawing: str, colours: Mapping[str, str], *, title: str, descript
 def _attributes(element: ET.Element, colours: Mapping[str, str]) -> None:
     """Replace colours and other attributes of an SVG element so that they suit a page."""
     given = {_NAMESPACE.sub("", key): value for key, value in element.attrib.items()}
-    if element.tag in ("g", "text"):
+    if element.tag == "g":
         given.pop("id", None)
     for key in {"d", "x", "y", "transform"} & given.keys():
         text = " ".join(given[key].split())
@@ -256,7 +256,7 @@ def plot(
         axes = figure.add_subplot()
         axes.set(xscale="log" if x_log else "linear", yscale="log" if y_log else "linear")
         axes.set(xlabel=x_label, ylabel=y_label)
-        if zero and not y_log:
+        if zero:
             axes.axhline(0, color="black", alpha=0.55, linewidth=1, clip_on=False)
         lines = [
             _draw(axes, one, _clean(one, x_log, y_log, x_range), one.role or ROLES[k % len(ROLES)])
@@ -268,7 +268,7 @@ def plot(
         axes.grid(color="black", alpha=0.14, linewidth=1, clip_on=False)
         axes.spines[["left", "bottom"]].set(alpha=0.7, linewidth=1)
         axes.tick_params(length=0, pad=6)
-        figure.savefig(drawing, format="svg", transparent=True, metadata={"Date": None})
+        figure.savefig(drawing, format="svg", transparent=True)
     colours = {colour: f"var(--{role}, {colour})" for role, (colour, *_) in _LOOKS.items()}
     colours |= {"#000000": "currentColor", _GROUND: "var(--ground, none)"}
     return inline_svg(drawing.getvalue(), colours, title=title, description=description)
@@ -337,9 +337,8 @@ def _scale(axes: Axes, x_range: tuple[float, float] | None, x_ticks: Mapping[flo
     for axis in (axes.xaxis, axes.yaxis):
         low, high = axis.get_view_interval()
         if axis.get_scale() == "log":
-            if high < 10 * low:
-                middle = math.sqrt(low * high)
-                axis.set_view_interval(middle / 3.2, middle * 3.2)
+            middle = math.sqrt(low * high)
+            axis.set_view_interval(middle / 3.2, middle * 3.2)  # only widens the axis
             axis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 300 * low else (1,), numticks=8))
             axis.set_major_formatter(FuncFormatter(lambda value, _: format_number(value, 1)))
             axis.set_minor_locator(NullLocator())
