@@ -32,7 +32,9 @@ def texts(root):
 def line_of(root, role):
     """The path that is drawn in a role's colour without being a marker."""
     (path,) = (
-        p for p in root.iter(f"{SVG}path") if f"stroke:var(--{role}," in p.get("style") and not p.get("id")
+        p
+        for p in root.iter(f"{SVG}path")
+        if f"stroke:var(--{role}," in p.get("style", "") and not p.get("id")
     )
     return path
 
@@ -73,9 +75,17 @@ def test_a_line_has_a_band_as_wide_as_the_error_on_both_sides():
     root = drawn(Series([0, 1], [0, 10], error=[5, 2.5], style="line"))
     (line,) = corners(line_of(root, "before"))
     (band,) = (corners(p)[0] for p in root.iter(f"{SVG}path") if "opacity:0.22" in p.get("style"))
-    unit = (line[0, 1] - line[1, 1]) / 10
-    above = [line[0, 1] - 5 * unit, line[0, 1] + 5 * unit, line[1, 1] - 2.5 * unit, line[1, 1] + 2.5 * unit]
-    assert sorted(band[:4, 1]) == pytest.approx(sorted(above), abs=0.2)
+    (x0, y0), (x1, y1) = line
+    half = (y0 - y1) / 2
+    around = [[x0, y0 + half], [x1, y1 + half / 2], [x1, y1 - half / 2], [x0, y0 - half]]
+    assert band[:4] == pytest.approx(np.array(around), abs=0.2)
+
+
+def test_the_band_closes_at_a_point_whose_error_is_unknown():
+    root = drawn(Series([0, 1, 2], [0, 10, 5], error=[5, np.nan, 5], style="line"))
+    (line,) = corners(line_of(root, "before"))
+    (band,) = (corners(p)[0] for p in root.iter(f"{SVG}path") if "opacity:0.22" in p.get("style"))
+    assert band[[1, 4]] == pytest.approx(line[[1, 1]], abs=0.2)
 
 
 def test_the_legend_has_the_series_with_a_label_and_ticks_their_texts():
@@ -89,7 +99,7 @@ def test_an_error_bar_that_a_logarithmic_axis_cannot_hold_keeps_its_upper_end():
     (_, y0), (_, y1) = markers(root)
     (bar,) = corners(line_of(root, "before"))
     assert y0 - bar[:, 1].min() == pytest.approx(np.log10(6) * (y0 - y1), abs=0.3)
-    assert bar[:, 1].max() > y0
+    assert bar[:, 1].max() - y0 == pytest.approx(y0 - y1, abs=0.3), "down to a tenth of the value"
 
 
 def test_steps_keep_each_value_up_to_the_next_point():
@@ -118,6 +128,61 @@ def test_labels_of_a_logarithmic_axis_are_numbers_that_a_person_reads():
 def test_a_logarithmic_axis_of_nearly_equal_values_has_a_decade_about_them():
     seen = texts(drawn(Series([30, 40], [5.0, 5.5]), y_log=True))
     assert [text for text in seen if text in ("1", "2", "5", "10", "20")] == ["2", "5", "10"]
+
+
+def test_points_over_less_than_two_decades_lie_on_the_drawing():
+    root = drawn(Series([0, 1, 2], [1.0, 5.0, 30.0]), y_log=True)
+    assert all(0 < y < 265 for _, y in markers(root))
+
+
+@pytest.mark.parametrize("values", [[20_000, 30_000], [0.0002, 0.0004]])
+def test_ticks_show_five_digits_without_a_power_of_ten(values):
+    root = drawn(Series([0, 1], values), x_ticks={0: "below"})
+    numbers = [float(text) for text in texts(root) if text[0].isdigit()]
+    assert min(values) <= max(numbers) <= max(values)
+
+
+def test_the_drawing_has_the_size_that_was_asked_for():
+    assert drawn(Series([0], [0]), width=500, height=100).get("viewBox") == "0 0 500 100"
+
+
+@pytest.mark.parametrize(
+    "options", [{"x_ticks": {0: "from the left hand side", 1: "from the right hand side"}}, {"y_log": True}]
+)
+def test_labels_lie_on_the_drawing_however_long_the_ticks_are(options):
+    root = drawn(Series([0, 1], [1e-9, 1e-8]), **options)
+    for text in root.iter(f"{SVG}text"):
+        upright = "rotate(-90" in text.get("transform")
+        behind = {"start": 0, "middle": 0.5, "end": 1}[re.search(r"anchor:(\w+)", text.get("style"))[1]]
+        width = 12 if upright else 6.5 * len(text.text)
+        assert 0 <= float(text.get("x")) - (1 if upright else behind) * width <= 400 - width, text.text
+
+
+@pytest.mark.parametrize(("letters", "per_row"), [(1, 3), (20, 2), (80, 1)])
+def test_as_many_labels_as_fit_stand_side_by_side_above_the_axes(letters, per_row):
+    names = [mark * letters for mark in "uvw"]
+    root = drawn(*(Series([0, 1], [0, 1], name) for name in names))
+    labels = [text for text in root.iter(f"{SVG}text") if text.text in names]
+    heights = [float(text.get("y")) for text in labels]
+    assert heights.count(min(heights)) == per_row
+    left, _ = (corners(p)[0] for p in root.iter(f"{SVG}path") if "opacity:0.7" in p.get("style", ""))
+    assert max(heights) < left[:, 1].min()
+
+
+def test_series_take_four_looks_in_turn():
+    root = drawn(*(Series([k], [k], role=None) for k in range(5)))
+    looks = [(mark.get("href"), mark.get("style")) for mark in root.iter(f"{SVG}use")]
+    assert len(set(looks)) == 4
+    assert looks[4] == looks[0]
+
+
+def test_a_model_is_a_thinner_line_than_the_data():
+    root = drawn(*(Series([0, 1], [0, 1], role=role, style="line") for role in ("after", "model")))
+    widths = [
+        float(re.search(r"stroke-width:([\d.]+)", line_of(root, role).get("style"))[1])
+        for role in ("after", "model")
+    ]
+    assert widths[0] > widths[1]
 
 
 def test_before_and_after_differ_by_shape_and_not_by_colour_alone():
@@ -163,6 +228,26 @@ def test_dots_are_as_many_as_points_and_the_legend_shows_their_marker():
     assert len(markers(root)) == 1
 
 
+def test_four_hundred_points_have_markers_and_error_bars():
+    root = drawn(Series(np.arange(400.0), np.arange(400.0), error=np.ones(400)))
+    assert len(markers(root)) == len(corners(line_of(root, "before"))) == 400
+
+
+@pytest.mark.parametrize("count", [2000, 5000])
+def test_a_line_is_drawn_from_its_first_to_its_last_point_through_at_most_2000(count):
+    x = np.linspace(0, 1, count)
+    root = drawn(Series(x, x**2, style="line"), Series([0, 1], [0, 1]))
+    (line,) = corners(line_of(root, "before"))
+    assert len(line) == 2000
+    assert line[[0, -1]] == pytest.approx(np.array(markers(root)), abs=0.1)
+
+
+def test_coordinates_are_rounded_to_a_tenth():
+    root = drawn(Series([0, 1 / 3, 1], [0, 1 / 7, 1], "s", [1 / 9] * 3))
+    given = [element.get(key, "") for element in root.iter() for key in ("d", "x", "y", "transform")]
+    assert not re.search(r"\.\d\d", " ".join(given))
+
+
 def test_labels_are_escaped():
     bad = "<script>alert(1)</script> -->"
     text = plot([Series([0], [0], bad)], "<b>", "a & b", title="</title><i>")
@@ -175,14 +260,20 @@ def test_a_label_is_shown_as_it_is_written(label):
     assert label in texts(drawn(Series([0], [0], label)))
 
 
-def test_screen_readers_get_title_and_description():
-    root = drawn(Series([0], [0]), description="what is seen")
+@pytest.mark.parametrize("description", ["", "what is seen"])
+def test_screen_readers_get_title_and_description(description):
+    root = drawn(Series([0], [0]), description=description)
     ids = {e.get("id"): e.text for e in root.iter() if e.get("id")}
-    assert [ids[name] for name in root.get("aria-labelledby").split()] == ["a title", "what is seen"]
+    read = [ids[name] for name in root.get("aria-labelledby").split()]
+    assert read == ["a title", description][: 2 if description else 1]
+    assert root[0].tag == f"{SVG}title", "SVG wants the title first"
 
 
 def test_no_two_plots_of_a_page_share_an_id_and_every_reference_is_met():
-    plots = [drawn(Series([0, 1], [0, y], "s"), Series([1], [1], "t")) for y in (1, 2)]
+    plots = [
+        drawn(Series([0, 1], [0, y], "s"), Series([1], [1], "t"), description=text)
+        for y, text in ((1, ""), (2, ""), (2, "another session"))
+    ]
     ids = [e.get("id") for root in plots for e in root.iter() if e.get("id")]
     assert len(set(ids)) == len(ids) >= 6
     for root in plots:
