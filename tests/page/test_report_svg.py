@@ -156,6 +156,7 @@ def test_labels_lie_on_the_drawing_however_long_the_ticks_are(options):
         behind = {"start": 0, "middle": 0.5, "end": 1}[re.search(r"anchor:(\w+)", text.get("style"))[1]]
         width = 12 if upright else 6.5 * len(text.text)
         assert 0 <= float(text.get("x")) - (1 if upright else behind) * width <= 400 - width, text.text
+        assert 9 <= float(text.get("y")) <= 262, text.text
 
 
 @pytest.mark.parametrize(("letters", "per_row"), [(1, 3), (20, 2), (80, 1)])

@@ -377,7 +377,8 @@ def _fit_margins(figure: Drawing, axes: Axes, rows: int) -> None:
     )
     width, height = 72 * figure.get_size_inches()
     half = _CHARACTER * x / 2  # of the longest label of x, in case it is the first or the last
-    left, below, above = max(32 + _DIGIT * y, half), 40, 8 + 17 * rows
+    factor = bool(axes.yaxis.get_major_formatter().get_offset())  # a power of ten above the axis
+    left, below, above = max(32 + _DIGIT * y, half), 40, 8 + 17 * rows + 10 * factor
     figure.subplots_adjust(left / width, below / height, 1 - (4 + half) / width, 1 - above / height)
 
 
