@@ -186,6 +186,21 @@ def test_an_angle_without_a_temperature_names_the_temperature_that_it_assumes():
     assert warm.u_deg > assumed.u_deg
 
 
+@pytest.mark.parametrize("stage", [True, False])
+def test_the_error_without_the_calibration_is_that_of_the_angle_by_plain_readings(stage):
+    calibration = known(alpha=30.0)
+    before, after = calibration.error_curves(stage=stage)
+    assert not after.error_deg.any()
+    assert (before.angle_deg == after.angle_deg).all()
+    # The stage turns against gravity: at its angle θ gravity is at 30° − θ.
+    sign, zero = (-1, 30.0) if stage else (1, 0.0)
+    psi = sign * (before.angle_deg - zero)
+    accel = read_mg(turn(psi), gains=(1.01, 0.99), axes=plane_axes(0.4), bias=(12.0, -7.0))
+    plain = wrapped(sign * (np.degrees(np.arctan2(accel[:, 1], accel[:, 0])) - psi))
+    assert np.abs(plain).max() > 1
+    assert before.error_deg == pytest.approx(plain, abs=1e-9)
+
+
 def test_space_gives_gravity_back_and_an_angle_in_a_named_plane():
     rng = np.random.default_rng(3)
     gains, skews, bias = (1.02, 0.98, 1.01), (0.5, -0.3, 0.2), (20.0, -30.0, 5.0)

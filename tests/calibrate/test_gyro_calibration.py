@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from adis_gonio import Calibration
-from adis_gonio.base.errors import DataError, FitError, UsageError
+from adis_gonio.base.errors import DataError, FitError, SessionError, UsageError
 from adis_gonio.calibrate import GyroCalibration
 from adis_gonio.calibrate.gyro_calibration import KIND_OF
 from adis_gonio.sim.settings import WorldSettings
@@ -200,6 +200,25 @@ def test_a_force_has_the_same_effect_and_u_after_the_accelerometers_have_moved(v
     assert after.u_dps == pytest.approx(before.u_dps, rel=1e-9)
     assert [one.u for one in moved.parameters] == pytest.approx(np.sqrt(np.diag(moved.covariance)))
     assert replace(made, covariance=None).with_force_moved([1, 0, 0]).covariance is None
+
+
+def test_numbers_that_were_written_after_the_session_move_the_zero_rates_and_the_force():
+    made = gyros(FULL)
+    where = replace(
+        calibration(SPACE).provenance, offsets_lsb=(10, 0, 0), gyro_offsets_lsb=made.offsets_lsb
+    )
+    written = replace(where, written_lsb=(1010, 0, -500), gyro_written_lsb=(52, -5, -30))
+    # 1000 LSB of XACCL_OFF are 467.2 mg.
+    expected = made.with_offsets((52, -5, -30)).with_force_moved([0.4672, 0, -0.2336])
+    found = made.as_written(written)
+    assert found.values == pytest.approx(expected.values, abs=1e-12)
+    assert found.offsets_lsb == (52, -5, -30)
+    unknown = replace(written, offsets_lsb=None), replace(written, sensor="generic")
+    for one in (*unknown, replace(written, written_lsb=None)):
+        assert made.as_written(one) == made.with_offsets((52, -5, -30))
+    assert made.as_written(where) == made.as_written(None) == made
+    with pytest.raises(SessionError, match="interrupted"):
+        made.as_written(replace(written, gyro_write_open=True))
 
 
 @pytest.mark.parametrize(

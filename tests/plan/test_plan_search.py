@@ -101,6 +101,18 @@ def test_the_information_is_that_of_a_dense_covariance_written_out_by_hand():
     assert np.allclose(ours, by_hand, rtol=1e-3, atol=1e-3 * np.abs(by_hand).max())
 
 
+def test_effects_are_told_apart_by_the_worst_of_them_and_then_by_all():
+    ground = candidates(QUIET, 5, ("bias_drift",), 60.0, "tell-apart")
+    separations = np.array([[5.0, 5.0], [5.0, 9.0], [9.0, 5.0], [5.5, 5.5], [0.0, 50.0]])
+    information = np.array([np.diag(ground.precision) for _ in separations])
+    # Each amplitude's u by the session alone is its typical size divided by the separation.
+    k = np.arange(ground.base, len(ground.precision))
+    information[:, k, k] += separations**2
+    assert ground.separations(information) == pytest.approx(separations, abs=1e-6)
+    ranks = np.argsort(ground.scores(information))
+    assert ranks.tolist() in ([4, 0, 1, 2, 3], [4, 0, 2, 1, 3])
+
+
 @pytest.mark.parametrize("beware", [(), ("bias_drift", "hysteresis")])
 def test_an_exchange_is_worth_what_the_exchanged_plan_is_worth(beware):
     ground = candidates(Bench(0.05), 5, beware, 60.0)
