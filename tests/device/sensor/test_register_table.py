@@ -5,10 +5,14 @@ import pytest
 from adis_gonio.base.errors import UsageError
 from adis_gonio.device.sensor.registers import (
     BY_NAME,
+    GYRO_LSB_DPS,
+    LEAST_M,
+    RANGE_CODE,
     REGISTERS,
     VARIANTS,
     Kind,
     Register,
+    changed_settings,
     register,
     variant,
 )
@@ -49,6 +53,31 @@ DATA_SHEET = {
     "COMMAND": (0x3E, 16, False, "w", 0, False),
 }
 
+# name: bits that a write changes, bits with a copy in flash
+MASKS = {
+    **dict.fromkeys(("XGYRO_OFF", "YGYRO_OFF", "ZGYRO_OFF"), (0x1FFF, 0x1FFF)),
+    **dict.fromkeys(("XACCL_OFF", "YACCL_OFF", "ZACCL_OFF"), (0x0FFF, 0x0FFF)),
+    **dict.fromkeys(("ALM_MAG1", "ALM_MAG2"), (0xBFFF, 0xBFFF)),
+    **dict.fromkeys(("ALM_SMPL1", "ALM_SMPL2"), (0x00FF, 0x00FF)),
+    "ALM_CTRL": (0xFFD7, 0xFFD7),
+    "AUX_DAC": (0x0FFF, 0),
+    "GPIO_CTRL": (0x0303, 0),
+    "MSC_CTRL": (0x07C7, 0x00C7),  # a self-test is not kept
+    "SMPL_PRD": (0x00FF, 0x00FF),
+    "SENS_AVG": (0x0707, 0x0707),
+    "SLP_CNT": (0x00FF, 0),
+    "COMMAND": (0x009F, 0),
+}
+
+# Typical values of the data sheet's table of specifications. Accelerometers: mg/LSB, range in g, noise,
+# in-run stability and initial bias in mg, error of the sensitivity, alignment in degrees, mg/°C, ppm/°C.
+ACCELEROMETERS = {
+    "adis16350": (2.522, 10, 35, 0.7, 40, 0.01, 0.25, 4, 100),
+    "adis16355": (2.522, 10, 35, 0.7, 40, 0.01, 0.25, 0.5, 40),
+}
+# Gyros: noise in °/s, °/s/g, °/s/V, in-run stability in °/s.
+GYROS = (0.6, 0.05, 0.25, 0.015)
+
 each_register = pytest.mark.parametrize("row", REGISTERS, ids=lambda row: row.name)
 
 
@@ -61,6 +90,51 @@ def test_a_row_agrees_with_the_data_sheet(row: Register):
     address, bits, signed, access, default, in_flash = DATA_SHEET[row.name]
     assert (row.address, row.bits, row.signed) == (address, bits, signed)
     assert (row.access, row.default, bool(row.flash_mask)) == (access, default, in_flash)
+
+
+@each_register
+def test_a_write_changes_the_bits_of_the_data_sheet_and_no_other(row: Register):
+    assert (row.write_mask, row.flash_mask) == MASKS.get(row.name, (0, 0))
+
+
+@pytest.mark.parametrize("name", ACCELEROMETERS)
+def test_a_variant_has_the_specifications_of_its_data_sheet(name: str):
+    part = variant(name)
+    p = part.performance
+    assert ACCELEROMETERS[name] == (
+        part.accel_mg_per_lsb, part.accel_range_g, p.noise_mg, p.bias_instability_mg, p.initial_bias_mg,
+        p.scale_error_typical, p.non_orthogonality_deg, p.bias_tempco_mg_per_c, p.scale_tempco_ppm_per_c,
+    )  # fmt: skip
+    assert p.noise == pytest.approx([35, 35, 35, 0.6, 0.6, 0.6])
+    assert p.floor == pytest.approx([0.7, 0.7, 0.7, 0.015, 0.015, 0.015])
+    own = (p.gyro_g_sensitivity_dps_per_g, p.gyro_supply_sensitivity_dps_per_v)
+    assert (p.gyro_noise_dps, *own, p.gyro_instability_dps) == GYROS
+    # Uniform within ± 0.25°.
+    assert p.skew_u_rad == pytest.approx(0.0025192, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("range_dps", "code", "least_m"), [(300, 0b100, 0), (150, 0b010, 2), (75, 0b001, 4)]
+)
+def test_a_gyro_range_has_its_code_its_least_filter_and_4095_steps(range_dps, code, least_m):
+    assert RANGE_CODE[range_dps] == code
+    assert LEAST_M[range_dps] == least_m
+    scale, zero, unit = variant("adis16354").lsb(Kind.GYRO, range_dps)
+    assert scale == GYRO_LSB_DPS[range_dps] == pytest.approx(range_dps / 4095, abs=5e-6)
+    assert (zero, unit) == (0.0, "°/s")
+
+
+def test_settings_have_changed_if_a_bit_that_moves_a_reading_has():
+    then = {"SMPL_PRD": 0x01, "SENS_AVG": 0x0402, "MSC_CTRL": 0x00C0, "XACCL_OFF": 0, "YGYRO_OFF": 7}
+    same = {**then, "MSC_CTRL": 0x00C7, "SENS_AVG": 0x8402, "ALM_CTRL": 0x1234, "ZACCL_OFF": 5}
+    assert changed_settings(then, same) == {}
+    now = {"SMPL_PRD": 0x81, "SENS_AVG": 0x0404, "MSC_CTRL": 0x0240, "XACCL_OFF": 0xFFF, "YGYRO_OFF": 7}
+    assert changed_settings(then, now) == {
+        "SMPL_PRD": (0x01, 0x81),
+        "SENS_AVG": (0x0402, 0x0404),
+        "MSC_CTRL": (0x00C0, 0x0240),
+        "XACCL_OFF": (0, 0xFFF),
+    }
 
 
 @each_register
