@@ -9,6 +9,7 @@ from datetime import date
 
 import numpy as np
 import pytest
+from scipy.stats import t as student
 
 from adis_gonio import Calibration, fit, load_session, trace
 from adis_gonio.base.conformity import Tolerance
@@ -116,10 +117,16 @@ def test_numbers_and_dates_are_those_of_a_fit_with_few_readings_over_midnight(tm
             assert value.k > 2.05, name  # Student's quantile: few degrees of freedom
             assert float(found[name]["uncertainty"]) == pytest.approx(factor * value.U, rel=1e-6), name
             assert float(found[name]["coverageFactor"]) == pytest.approx(value.k, abs=1e-4), name
-        # The degrees of freedom of an angle by the parameters alone are at least those of one of them.
-        most = max(value.k for value in result.parameters.values())
-        assert float(root.find(f".//{SI}coverageFactorXMLList").text) == pytest.approx(most, abs=1e-4)
+        # One U of the angle: `fit` and the certificate state conformity with the same quantile.
+        quantile = student.ppf(0.975, result.shown_angle.dof)
+        assert float(root.find(f".//{SI}coverageFactorXMLList").text) == pytest.approx(quantile, abs=1e-4)
         assert root.find(f".//{SI}distributionXMLList").text == "t"
+        for ours, theirs in zip(result.error_curves(), own.error_curves(), strict=True):
+            assert theirs.U_deg == pytest.approx(ours.U_deg, rel=1e-9)
+    # A file that does not state the degrees of freedom of the angle has at least those of one parameter.
+    most = max(value.k for value in result.parameters.values())
+    curve = replace(made, angle_dof=None).error_curves()[1]
+    assert curve.U_deg == pytest.approx(most * curve.u_deg, rel=1e-6)
 
 
 def test_the_values_are_stated_with_their_temperature():

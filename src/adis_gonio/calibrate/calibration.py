@@ -415,6 +415,9 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         Calibration of the gyros; None if the session gives none.
     ratio_dof : float or None
         Effective degrees of freedom of u of ΔK; None if the result does not state them.
+    angle_dof : float or None
+        Effective degrees of freedom of u of a calibrated angle (Welch–Satterthwaite); None if the result
+        does not state them.
     """
 
     provenance: Provenance
@@ -422,6 +425,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
     counts_per_mg: tuple[float, ...] | None = None
     gyro: GyroCalibration | None = None
     ratio_dof: float | None = None
+    angle_dof: float | None = None
     schema: ClassVar[str] = "adis-gonio/calibration"
 
     # -- description --------------------------------------------------------------------------------
@@ -492,6 +496,7 @@ class Calibration(Coefficients, eq=False, kw_only=True):
             counts_per_mg=self.counts_per_mg,
             gravity_mps2=where.gravity_mps2,
             derived={} if ratio is None else {"delta_k": ratio},
+            angle_dof=self.angle_dof,
             effects=self.effects,
             **self._entries(where),
             source={name: getattr(where, name) for name in _SOURCE},
@@ -611,7 +616,8 @@ class Calibration(Coefficients, eq=False, kw_only=True):
 
         The angle is the angle of the stage if `stage` is True and the calibration has a start angle, else
         the angle of gravity. The noise of single readings is not included. The first curve is None if the
-        readings are in counts of unknown scale.
+        readings are in counts of unknown scale. Without `angle_dof`, the degrees of freedom are the least
+        of any parameter.
 
         Raises
         ------
@@ -629,11 +635,10 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         sign, zero = (-1.0, self["alpha"].value) if start else (1.0, 0.0)
         angle = self._angle_of(stage=start)
         roots = self._rises(lambda values: angle(values, readings, conditions), _turn_between)
-        dof = min((one.dof for one in self.parameters if one.dof is not None), default=math.inf)
+        least = min((one.dof for one in self.parameters if one.dof is not None), default=math.inf)
         raw = np.degrees(sign * wrap_radians(np.arctan2(readings[:, 1], readings[:, 0]) - psi))
-        after = ErrorCurve(
-            (zero + sign * np.degrees(psi)) % 360, np.zeros(CURVE_PLACES), np.degrees(roots), dof
-        )
+        angle_deg, dof = (zero + sign * np.degrees(psi)) % 360, self.angle_dof or least
+        after = ErrorCurve(angle_deg, np.zeros(CURVE_PLACES), np.degrees(roots), dof)
         return None if self.provenance.counts else replace(after, error_deg=raw), after
 
     def with_offsets(self, offsets_lsb: Sequence[int]) -> Calibration:

@@ -82,10 +82,11 @@ _BIASES = ("bias_x", "bias_y", "bias_z")
 _LARGEST_SKEW_DEG = 45.0
 _VALUE = number(-1e15, 1e15)
 _TEXTS = list_of(text, 0, 10_000)
+_DOF = nullable(number(0.1, 1e300))
 _COEFFICIENTS = mapping_of(
     fields(
         {"value": _VALUE, "u": nullable(number(0.0, 1e15)), "unit": text},
-        {"dof": nullable(number(0.1, 1e300))},
+        {"dof": _DOF},
         others=anything,
     )
 )
@@ -129,7 +130,7 @@ DOCUMENT = fields(
         "offsets_lsb": nullable(list_of(whole(*BY_NAME["XACCL_OFF"].range), 3, 3)),
         "source": mapping_of(text),
     },
-    {"derived": _COEFFICIENTS},
+    {"derived": _COEFFICIENTS, "angle_dof": _DOF},
     others=anything,
 )
 """Types and ranges of the entries of a calibration file."""
@@ -162,6 +163,7 @@ def _read(document: Mapping[str, Any]) -> Calibration:
     )
     counts_per_mg = None if counts is None else tuple(map(float, counts))
     shared["ratio_dof"] = document.get("derived", {}).get("delta_k", {}).get("dof")
+    shared["angle_dof"] = document.get("angle_dof")
     return _checked(Calibration(provenance=where, effects=effects, counts_per_mg=counts_per_mg, **shared))
 
 

@@ -260,17 +260,6 @@ class FitResult(FittedParameters, kw_only=True):
         variances = self.sources.by_place(shown.gradient, shown.reading)
         return Value(math.nan, u, "deg", dof, factor_over(variances, dof))
 
-    @cached_property
-    def angle_roots_deg(self) -> Floats | None:
-        """Change (m, k) of the calibrated angle by one standard uncertainty of each of k causes, in deg.
-
-        The causes are independent, and the m angles are around the turn; noise of the reading is not
-        included. None in space, if the session does not determine the angle, or if the noise is unknown.
-        """
-        if self.sources is None or self.around is None:
-            return None
-        return self.sources.roots(self.around.gradient, self.around.reading)
-
     @property
     def stage_influence(self) -> dict[str, Floats]:
         """Change (k,) of each parameter by one u of each error of the stage's certificate, by name.
@@ -297,13 +286,10 @@ class FitResult(FittedParameters, kw_only=True):
         """
         # A free turn has no stage; its result is made without readings of positions.
         curves = calibration_as_recorded(self).error_curves(stage=self.origin is not None)
-        if self.shown_angle is None or self.origin is None:
-            return curves
-        if self.angle_roots_deg is None:
+        shown = self.shown_angle
+        if shown is not None and shown.u is None and self.origin is not None:
             raise FitError("the session does not determine the angle: conformity needs more positions")
-        before, after = curves
-        after = replace(after, root_deg=self.angle_roots_deg, dof=self.shown_angle.dof)
-        return before and replace(after, error_deg=before.error_deg), after
+        return curves
 
     @cached_property
     def angle(self) -> Value | None:
@@ -526,7 +512,7 @@ def calibration_as_recorded(result: FitResult, *, nominal: bool = False) -> Cali
         held, matrix = _with_held_biases(result.sources, slopes, assumed, model.axes)
         parameters += held
     scales = [estimates[f"scale_{axis}"].value for axis in AXES[: model.axes]] if where.counts else []
-    counts = tuple(scale / MG_PER_MPS2 for scale in scales) or None
+    counts, shown = tuple(scale / MG_PER_MPS2 for scale in scales) or None, result.shown_angle
     return Calibration(
         method=result.method,
         provenance=where,
@@ -535,6 +521,7 @@ def calibration_as_recorded(result: FitResult, *, nominal: bool = False) -> Cali
         assumed=assumed,
         counts_per_mg=counts,
         ratio_dof=getattr(estimates.get("delta_k"), "dof", None),
+        angle_dof=None if shown is None or shown.u is None else shown.dof,
     )
 
 
