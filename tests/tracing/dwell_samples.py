@@ -1,6 +1,6 @@
 """Samples inside dwells whose truth is known: filtered, rounded noise, with what a test adds to it.
 
-Own signals in numpy; of the product only the record that holds them.
+Own signals in numpy; of the product only the record that holds them and the search that is tested.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.tracing.within.samples import Samples
+from adis_gonio.tracing.within.samples import Samples, WithinFinding
+from adis_gonio.tracing.within.second_pass import look_within
 
 Floats = NDArray[np.float64]
 Added = Callable[[int, Floats, np.random.Generator], Floats]
@@ -74,3 +75,13 @@ def draw(
         quantum=np.full(axes, lsb_mg if lsb_mg else 1e-9),
         reading=np.array([rows.mean(axis=0) for rows in values]),
     )
+
+
+def kinds(samples: Samples) -> list[str]:
+    """Kinds of all findings in the order in which they were found."""
+    return [finding.kind for finding in look_within(samples)[0]]
+
+
+def only(samples: Samples, kind: str) -> WithinFinding | None:
+    """The first finding of a kind."""
+    return next((finding for finding in look_within(samples)[0] if finding.kind == kind), None)

@@ -7,11 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
 import pytest
 
-from adis_gonio.tracing.within.second_pass import look_within
-from tracing.dwell_samples import draw
 from tracing.stated import EFFECTS, SORTS, finder
 
 
@@ -32,9 +29,3 @@ def at_least(count: int, of: int, hits: Iterator[bool]) -> bool:
         if seen >= count or missed > of - count:
             return seen >= count
     return False
-
-
-def test_dwells_that_are_too_short_say_so() -> None:
-    shown = look_within(draw(np.random.default_rng(1), n=4, filter_m=0))[1]
-    assert set(shown) >= set(EFFECTS)
-    assert all(entry.amplitude is None and entry.reason for entry in shown.values())
