@@ -48,6 +48,15 @@ def test_defaults_are_those_of_the_format(tmp_path):
     assert first.gyro is None
 
 
+def test_rows_without_a_position_are_the_turns_between_the_dwells(tmp_path):
+    assert read_samples_csv(write(tmp_path, HEADER, *ROWS)).turns == ()
+    between = [f"{time},,,1500,-900" for time in (0.13, 0.16)]
+    (turn,) = read_samples_csv(write(tmp_path, HEADER, *ROWS[:2], *between, *ROWS[2:])).turns
+    assert (turn.before, turn.position) == (0, 1)
+    np.testing.assert_array_equal(turn.time_s, [0.13, 0.16])
+    np.testing.assert_array_equal(turn.accel, [[1500, -900]] * 2)
+
+
 def test_every_key_and_column_is_read(tmp_path):
     session = read_samples_csv(
         write(
