@@ -217,7 +217,7 @@ def test_calibrate_keeps_the_certificate_and_every_later_fit_uses_it(tmp_path):
     """Two sessions on one stage: what its certificate does not know moves both results alike."""
     stage = certificate(tmp_path / "stage.xml", 0 * ANGLE, of_covariance(COVARIANCE))
     path = tmp_path / "s.session"
-    command = ["calibrate", "sim:?seed=3", "--plan", "mmpm", "--dwell", "1", "--auto", "--fixture"]
+    command = ["calibrate", "sim:?seed=3", "--plan", "mmpm", "--dwell", "0.5", "--auto", "--fixture"]
     assert main([*command, f"dcc:{stage}", "-o", str(path)]) == 0
     session = load_session(path)
     assert session.stage_curve.digest == read_stage_curve(stage).digest
