@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from adis_gonio.fleet.sensor_history import drift_of
+from adis_gonio.fleet.sensor_history import Track, drift_of, drift_sentences
 
 
 def test_without_scatter_between_sessions_it_is_the_weighted_line_of_polyfit():
@@ -59,3 +59,12 @@ def test_scatter_beyond_u_is_told_by_birges_ratio():
 @pytest.mark.parametrize("day", [[0.0], [0.0, 10.0], [5.0, 5.0, 5.0]])
 def test_a_line_needs_three_sessions_at_different_times(day):
     assert drift_of(np.array(day), np.zeros(len(day)), np.ones(len(day)), "mg") is None
+
+
+def test_a_scatter_beyond_all_doubt_is_no_probability_of_zero():
+    day, value = np.arange(8.0) * 90, np.array([0, 9, 1, 8, 0, 9, 1, 8.0])
+    drift = drift_of(day, value, np.full(8, 0.01), "mg")
+    track = Track("bias_x", "mg", tuple(range(8)), day, (), drift)
+    assert "p < 10⁻¹²" in " ".join(drift_sentences(track)).replace("\N{NO-BREAK SPACE}", " ").replace(
+        "\u202f", " "
+    )

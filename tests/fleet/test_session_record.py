@@ -8,13 +8,16 @@ import sqlite3
 import pytest
 
 import adis_gonio
+from adis_gonio import __version__
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.fitting.answer import Answer
-from adis_gonio.fleet.session_record import COLUMNS, SessionRecord, record_of
+from adis_gonio.fleet.session_record import COLUMNS, Options, SessionRecord, record_of, work
 from adis_gonio.record.loading import load_session
+from adis_gonio.record.provenance import digest_of_file
 from adis_gonio.record.samples_writer import write_samples_csv
 from adis_gonio.tracing.traced_answer import answer_with_trace
 from fleet.recorded import recorded
+from fleet.sessions import write_fleet
 
 
 @pytest.fixture
@@ -143,3 +146,15 @@ def test_a_trace_says_which_effects_and_the_answer_is_that_of_the_traced_model(t
     assert record.model_effects == answer.recommended.effects
     assert record.values["delta_k"].as_dict() == answer.values["delta_k"].as_dict()
     assert math.isfinite(record.values["delta_phi"].U)
+
+
+def test_a_session_is_read_once_for_record_and_evidence(tmp_path, monkeypatch):
+    (path,) = write_fleet(tmp_path / "fleet", 1, seed=9)
+    read = []
+    monkeypatch.setattr(
+        "adis_gonio.record.loading.load_session", lambda *a: read.append(a) or load_session(*a)
+    )
+    record = work(path, digest_of_file(path), Options(trace=False, evidence=True).as_dict(), __version__)
+    assert record.status == "ok"
+    assert record.evidence is not None
+    assert len(read) == 1
