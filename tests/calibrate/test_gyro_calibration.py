@@ -130,6 +130,28 @@ def test_u_is_that_of_calibrations_drawn_from_the_covariance():
     assert np.isnan(replace(made, covariance=None).rates(rate, force).u_dps).all()
 
 
+@pytest.mark.parametrize("convert", [GyroCalibration.rates, GyroCalibration.readings_of])
+def test_u_at_another_temperature_has_the_effects_that_were_not_traced(convert):
+    """The typical sizes of the catalogue: 0.02 °/s/°C and 100 ppm/°C, from the session's mean of 28 °C."""
+    made, rate, force = gyros(FULL), np.array([[200.0, -50.0, 0.0]]), np.zeros((1, 3))
+    own = convert(made, rate, force).u_dps
+    dies_c = np.array([[48.0, 28.0, 13.0]])
+    left = 0.02 * (dies_c - 28.0), 100e-6 * (dies_c - 28.0) * rate
+    warm = convert(made, rate, force, dies_c)
+    assert warm.u_dps == pytest.approx(np.sqrt(own**2 + left[0] ** 2 + left[1] ** 2), rel=1e-9)
+    assert convert(made, rate[0], force[0], 48.0).u_dps[2] == pytest.approx(np.hypot(own[0, 2], 0.4))
+    assert convert(made, rate, force, 28.0).u_dps == pytest.approx(own)
+    unknown = replace(made, temperature_c=None)
+    assert convert(unknown, rate, force, 48.0).u_dps == pytest.approx(own)
+
+
+def test_u_at_another_temperature_has_no_part_for_effects_that_are_corrected():
+    traced = gyros({name: value for name, value in EVERY.items() if "temperature" in name} | ZERO)
+    warm = traced.rates(np.zeros(3), None, 48.0).u_dps
+    # u of the zero rate, and of its coefficients at 23 °C above 25 °C.
+    assert warm[2] == pytest.approx(np.hypot(2e-3, 23 * 1e-4), rel=0.01)
+
+
 def test_the_covariance_of_a_result_is_taken_by_name_whatever_its_order():
     values = estimates(ZERO | {"g_sensitivity_xx": 0.05})
     names = ["alpha", "g_sensitivity_xx", "gyro_bias_z", "gyro_bias_x", "gyro_bias_y"]

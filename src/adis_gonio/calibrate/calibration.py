@@ -12,7 +12,7 @@ effects(a) converges in a few passes to the ideal reading a = diag(K) D g.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
@@ -285,6 +285,38 @@ def independent_changes(covariance: Floats) -> Floats:
     # Eigenvectors of the correlation matrix: parameters have different units.
     sizes, vectors = np.linalg.eigh(covariance / np.outer(unit, unit))
     return np.asarray((vectors * np.sqrt(np.maximum(sizes, 0.0))).T * unit)
+
+
+def left_to_temperature(
+    part: str, corrected: Collection[str], ideal: Floats, here: Conditions, session: Covered | None
+) -> Iterator[Floats]:
+    """Yield the change (n, axes) of readings by each temperature effect that is not corrected.
+
+    It is the change from the mean temperature of the session to the temperature of the reading, if the
+    effect has its typical size. Nothing is yielded if the temperature of the session is unknown.
+
+    Parameters
+    ----------
+    part : {"accelerometer", "gyro"}
+        Sensors that give the readings.
+    corrected : collection of str
+        Names of the effects that the calibration corrects.
+    ideal : (n, axes) float
+        Ideal readings, in mg or °/s.
+    here : Conditions
+        Conditions of the readings, with their temperature.
+    """
+    if session is None:
+        return
+    there = replace(here, temperature_c=np.full(len(ideal), session.mean), temperatures_c=None)
+    for name, kind in catalogue(part).items():
+        follows = "temperature_c" in kind.needs and not here.lacks(kind.needs)
+        if name in corrected or not kind.correctable or not follows:
+            continue
+        one = effect(name, AXES[: ideal.shape[1]])
+        for amplitude in (parameter for parameter in one.parameters if not parameter.shape):
+            alone = one.defaults({amplitude.name: amplitude.typical}, others="zero")
+            yield one.reading(alone, ideal, here) - one.reading(alone, ideal, there)
 
 
 def _numbers(name: str, given: ArrayLike) -> Floats:
@@ -785,9 +817,12 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         angle, variance = self.with_variance(
             lambda values: shown(values, readings, conditions), _turn_between
         )
-        now_c = None if temperature_c is None else conditions.temperature_c
-        for change in self._left_to_temperature(readings, now_c):
-            variance += _turn_between(shown(values, readings + change, conditions), angle) ** 2
+        if temperature_c is not None:
+            corrected = {term.effect.name for term in self.effects}
+            ideal, covered = readings / self.per_mg, self.provenance.temperature_c
+            for change in left_to_temperature("accelerometer", corrected, ideal, conditions, covered):
+                moved = shown(values, readings + change * self.per_mg, conditions)
+                variance += _turn_between(moved, angle) ** 2
         if reading_u is not None:
             u = np.asarray(reading_u, dtype=float)
             if u.shape not in ((), (self.axes,)) or not np.isfinite(u).all() or (u < 0).any():
@@ -806,31 +841,6 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         assumed_c = covered.mean if covered is not None and temperature_c is None else None
         at = 0 if single else slice(None)
         return AngleReading(angle_deg[at], u_deg[at], assumed_c)
-
-    def _left_to_temperature(self, readings: Floats, now_c: Floats | None) -> Iterator[Floats]:
-        """Yield the change (n, axes) of readings by each temperature effect that is not corrected.
-
-        It is the change from the mean temperature of the session to the temperature of the reading, if the
-        effect has its typical size. Nothing is yielded if the temperature `now_c` (n,) of the readings is
-        None or the temperature of the session is unknown.
-        """
-        session = self.provenance.temperature_c
-        if session is None or now_c is None:
-            return
-        ideal = readings / self.per_mg
-        there, here = (
-            Conditions(time_s=np.zeros(len(readings)), temperature_c=at)
-            for at in (np.full(len(readings), session.mean), now_c)
-        )
-        corrected = {term.effect.name for term in self.effects}
-        for name, kind in catalogue("accelerometer").items():
-            if name in corrected or not kind.correctable or kind.needs != ("temperature_c",):
-                continue
-            one = effect(name, AXES[: self.axes])
-            for amplitude in (parameter for parameter in one.parameters if not parameter.shape):
-                alone = one.defaults({amplitude.name: amplitude.typical}, others="zero")
-                change = one.reading(alone, ideal, here) - one.reading(alone, ideal, there)
-                yield change * self.per_mg
 
 
 def _turn_between(up_rad: Floats, down_rad: Floats) -> Floats:

@@ -29,9 +29,10 @@ from adis_gonio.calibrate.calibration import (
     Coefficients,
     checked_offsets,
     checked_rows,
+    left_to_temperature,
 )
 from adis_gonio.device.sensor.registers import VARIANTS, Kind
-from adis_gonio.model.effects import AXES
+from adis_gonio.model.effects import AXES, Conditions
 from adis_gonio.model.effects.sensor_terms import REFERENCE_C, REFERENCE_V
 from adis_gonio.record.provenance import Covered, Provenance
 from adis_gonio.record.write_journal import INTERRUPTED
@@ -269,9 +270,10 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
     ) -> Rates:
         """Convert readings of the gyros to true rates of turn with their standard uncertainties.
 
-        The uncertainty comes from the parameters of the calibration. `rate_dps` are the readings, `force_g`
-        the readings of the accelerometers (required if a g-sensitivity is known). The default of
-        `temperature_c` and `supply_v` is the mean of the session.
+        The uncertainty comes from the parameters of the calibration and, at a given temperature, from the
+        temperature effects that it does not correct. `rate_dps` are the readings, `force_g` the readings of
+        the accelerometers (required if a g-sensitivity is known). The default of `temperature_c` and
+        `supply_v` is the mean of the session; u then has no part for another temperature.
         """
         return self._rates(_corrected, rate_dps, (force_g, temperature_c, supply_v))
 
@@ -306,6 +308,13 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         value, variance = self.with_variance(
             lambda values: function(self.by_kind(values), rate, *conditions)
         )
+        if felt[1] is not None:
+            die_c, time_s = conditions[1] + REFERENCE_C, np.zeros(len(rate))
+            here = Conditions(time_s, temperature_c=die_c.mean(axis=1), temperatures_c=die_c, rate_dps=rate)
+            corrected = {KIND_OF[name] for name in self.names}
+            # Gains are near 1: readings and corrected rates change alike.
+            for change in left_to_temperature("gyro", corrected, rate, here, self.temperature_c):
+                variance += change**2
         at = 0 if single else slice(None)
         return Rates(value[at], np.sqrt(variance)[at])
 
