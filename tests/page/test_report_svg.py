@@ -142,6 +142,12 @@ def test_ticks_show_five_digits_without_a_power_of_ten(values):
     assert min(values) <= max(numbers) <= max(values)
 
 
+def test_a_plot_has_a_line_on_the_left_and_below_and_no_frame():
+    paths = [p for p in drawn(Series([0], [0])).iter(f"{SVG}path") if "currentColor" in p.get("style", "")]
+    # The other lines are the grid, which has the opacity 0.14.
+    assert [p.get("style").count("opacity:0.7") for p in paths if "0.14" not in p.get("style")] == [1, 1]
+
+
 def test_the_drawing_has_the_size_that_was_asked_for():
     assert drawn(Series([0], [0]), width=500, height=100).get("viewBox") == "0 0 500 100"
 
