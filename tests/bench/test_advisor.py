@@ -23,9 +23,7 @@ def measurement(angle: float, **changes: object) -> NextDwell:
     return replace(made, **changes)
 
 
-def advised(
-    monkeypatch, measurements, *, adequate=True, tested=True, visited=0, most=24, reach=None, dwells=0
-):
+def advised(monkeypatch, measurements, *, adequate=True, tested=True, visited=0, reach=None, dwells=0):
     error = SimpleNamespace(chi2_per_dof=1.0 if tested else None, as_dict=lambda: {})
     result = SimpleNamespace(
         adequate=adequate and tested,
@@ -38,10 +36,10 @@ def advised(
     )
     monkeypatch.setattr(TRACE, "trace", lambda session: result)
     session = Session((Dwell(1, np.zeros(1), np.zeros((1, 3)), 0.0),) * dwells)
-    return TraceAdvisor(most).advise(session, visited, reach or (lambda position: True))
+    return TraceAdvisor().advise(session, visited, reach or (lambda position: True))
 
 
-def test_it_asks_for_a_few_at_once_and_never_more_than_the_limit(monkeypatch):
+def test_it_asks_for_a_few_at_once_and_never_for_more_than_24_by_default(monkeypatch):
     many = tuple(measurement(15.0 * k) for k in range(7))
     assert len(advised(monkeypatch, many).positions) == AT_ONCE
     assert len(advised(monkeypatch, many, visited=22).positions) == 2
