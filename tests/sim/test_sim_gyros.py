@@ -108,6 +108,35 @@ def test_the_truth_of_a_time_follows_warm_up_walk_and_the_temperature_of_the_gai
     assert truth["gyro_scale_error_z"] == pytest.approx(1.02 * 1.01 - 1)
 
 
+@pytest.mark.parametrize("instability_dps", [0.0, 0.3])
+def test_gyros_have_the_flicker_of_their_own_figure_and_the_truth_of_a_time_includes_it(instability_dps):
+    flicker = {"bias_instability_mg": 0.5, "gyro_instability_dps": instability_dps, "gyro_noise_dps": 0.0}
+    world = World(WorldSettings(**(PERFECT | flicker)), seed=1)
+    time_s = np.arange(0, 4, 1 / 16)
+    rates = world.sample(time_s).gyro_dps
+    assert (rates.std(axis=0) > 0).tolist() == [instability_dps > 0] * 3
+    truth = world.truth(time_s)
+    assert [truth[f"gyro_bias_{axis}"] for axis in "xyz"] == pytest.approx(rates.mean(axis=0))
+
+
+def test_nothing_has_warmed_up_before_power_on():
+    given = {"powered_s": 0.0, "self_heating_c": 3.0, "gyro_warm_up_y_dps": 2.0, "die_gradient_z_c": 4.0}
+    world = World(WorldSettings(**(PERFECT | given | {"gyro_noise_dps": 0.0})), seed=1)
+    before, later = np.array([-0.5, -0.1]), np.array([0.0, 1e4])
+    assert world.temperature_c(before).tolist() == [25.0, 25.0]
+    assert world.die_temperature_c(before).tolist() == [[25.0] * 3] * 2
+    assert world.die_temperature_c(later)[1] == pytest.approx([28.0, 28.0, 32.0])
+    assert world.sample(before).gyro_dps[:, 1] == pytest.approx([2.0, 2.0])
+
+
+def test_a_die_follows_the_self_heating_since_power_on():
+    given = {"powered_s": 600.0, "self_heating_c": 20.0, "self_heating_tau_s": 200.0, "die_lag_y_s": 100.0}
+    world = World(WorldSettings(**(PERFECT | given)), seed=1)
+    # The step response of two lags in series, 600 s after the step.
+    rise = 1 - (200 * np.exp(-600 / 200) - 100 * np.exp(-600 / 100)) / (200 - 100)
+    assert world.die_temperature_c(np.zeros(1))[0, 1] == pytest.approx(25.0 + 20.0 * rise, abs=0.01)
+
+
 def test_the_supply_moves_each_gyro_by_its_own():
     sensor = part(gyro_supply_x_dps_per_v=3.0, gyro_supply_z_dps_per_v=-2.0)
     sensor.bus.world.bring_to(sensor.bus.now_s(), supply_v=5.2)
@@ -197,6 +226,7 @@ def test_ranges_differ_in_gain_and_in_the_size_of_a_step(dps, m, gain):
     sensor.configure(gyro_range_dps=dps, filter_m=m)
     block = sensor.read_scans(2000, GYRO_OUT)
     assert block.values()[:, 1].mean() == pytest.approx(40.0 * gain, abs=0.01)
+    assert dps == 300 or sensor.bus.world.truth()[f"gyro_range_gain_{dps}"] == gain
     steps = np.diff(np.unique(block.values()[:, 0]))
     assert steps.min() == pytest.approx(0.07326 * dps / 300, rel=1e-6)
 

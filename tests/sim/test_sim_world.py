@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import UsageError
+from adis_gonio.model.effects import parse_effect
 from adis_gonio.model.effects.base import Effect, Enters, Parameter
 from adis_gonio.sim import World, WorldSettings
 from adis_gonio.sim.settings import GyroSettings
@@ -160,6 +161,22 @@ def test_a_table_shakes_most_in_the_first_dwell_and_evenly_within_each():
     assert levels.max() <= 4.0
 
 
+@pytest.mark.parametrize(("effects", "rms"), [((), 3.0), (("vibration_rectification",), 3 * 26**0.5)])
+def test_a_table_shakes_by_five_times_the_noise_if_an_effect_follows_it(effects, rms):
+    world = silent([parse_effect(name) for name in effects], noise_mg=3.0)
+    assert world.sample(np.arange(4000) / 819.2).accel_mg.std(axis=0) == pytest.approx(rms, rel=0.05)
+
+
+def test_the_true_angle_of_a_free_turn_is_that_of_the_rest_before_it():
+    world = silent(alpha_deg=10.0, fixture_sigma_deg=0.5)
+    end = world.stage.turn_freely(world.stage.move_to(0.0, -30.0))
+    resting = 10.0 + 30.0 + world.stage.error_deg
+    assert world.truth()["alpha"] == pytest.approx(resting)
+    assert world.stage.error_deg != 0
+    x, y, _ = reading(world, end + 5.0)
+    assert np.degrees(np.arctan2(y, x)) == pytest.approx(resting - 5.0, abs=0.1)  # after 365°
+
+
 def test_the_truth_has_the_names_of_a_fit_and_what_was_given():
     world = World(WorldSettings(delta_k=0.01, bias_y_mg=-20.0, alpha_deg=2.0, delta_phi_deg=0.1), seed=3)
     truth = world.truth()
@@ -205,8 +222,14 @@ def test_hidden_parameters_are_drawn_with_the_figures_of_the_variant():
     biases = [truth[f"bias_{axis}"] for truth in truths for axis in "xyz"]
     assert np.std(biases) == pytest.approx(10.0, rel=0.1)
     assert np.std([truth["delta_k"] for truth in truths]) == pytest.approx(0.001 * np.sqrt(2), rel=0.1)
-    assert max(abs(truth["delta_phi"]) for truth in truths) <= 0.25
+    for name, most in {"alpha": 5.0, "delta_phi": 0.25, "skew_xz": 0.25, "skew_yz": 0.25}.items():
+        angles = [truth[name] for truth in truths]
+        assert -most <= min(angles) < -0.9 * most, name
+        assert 0.9 * most < max(angles) <= most, name
     assert np.std([truth["bias_temperature_x"] for truth in truths]) == pytest.approx(0.5, rel=0.1)
+    # A setting in ppm/°C; the truth is a share per °C.
+    gains = [truth[f"scale_temperature_{axis}"] for truth in truths for axis in "xyz"]
+    assert np.std(gains) == pytest.approx(40e-6, rel=0.1)
     other = [World(part="adis16350", seed=seed).truth()["bias_temperature_x"] for seed in range(100)]
     assert np.std(other) == pytest.approx(4.0, rel=0.2)
 
