@@ -62,6 +62,22 @@ def test_a_part_off_the_axis_feels_the_acceleration_of_its_place():
     assert extra[5:-5, 1] == pytest.approx(expected.imag[5:-5], abs=0.02)
 
 
+def test_forces_of_the_hand_and_of_the_place_add_up_and_gyros_feel_both():
+    lever, felt = {"lever_x_mm": 800.0}, {"gyro_g_sensitivity_yx_dps_per_g": 0.1}
+    worlds = [
+        turning(**felt, **place, hand_vibration_mg=shaking)[0]
+        for place, shaking in (({}, 0.0), (lever, 0.0), ({}, 30.0), (lever, 30.0))
+    ]
+    neither, at_place, shaken, both = (world.sample(20.0 + 0.01 * np.arange(200)) for world in worlds)
+    by_place, by_hand = (one.accel_mg - neither.accel_mg for one in (at_place, shaken))
+    assert np.abs(by_place[:, 0]).max() > 1.0
+    assert np.abs(by_hand).max(axis=0).min() > 10.0
+    force = both.accel_mg - neither.accel_mg
+    assert force == pytest.approx(by_place + by_hand)
+    more = both.gyro_dps - neither.gyro_dps
+    assert more[:, 1] == pytest.approx(1e-4 * force[:, 0], abs=1e-12)
+
+
 def test_gyro_faults_are_what_their_names_say():
     settings = {
         "gyro_scale_z": 1.02, "gyro_misalignment_xz_deg": 1.0,

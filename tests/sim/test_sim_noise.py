@@ -40,6 +40,8 @@ def test_white_noise_has_its_rms_and_falls_by_the_root_of_time():
     inputs = world.sample(np.arange(1, 2**17) / RATE)
     assert inputs.accel_mg.std(axis=0) == pytest.approx(4.7, rel=0.01)
     assert inputs.gyro_dps.std(axis=0) == pytest.approx(0.6, rel=0.01)
+    assert inputs.temperature_c.std(axis=0) == pytest.approx(0.1, rel=0.01)
+    assert inputs.supply_v.std() == pytest.approx(0.001, rel=0.01)
     taus = np.array([4, 64, 1024]) / RATE
     expected = 4.7 / np.sqrt([4, 64, 1024])
     assert overlapping(inputs.accel_mg[:, 0], RATE, taus) == pytest.approx(expected, rel=0.08)

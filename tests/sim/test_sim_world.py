@@ -161,6 +161,15 @@ def test_a_table_shakes_most_in_the_first_dwell_and_evenly_within_each():
     assert levels.max() <= 4.0
 
 
+def test_the_part_rings_in_the_plane_of_its_turn():
+    still, ringing = silent(), silent(vibration_mg=20.0, vibration_hz=35.0, vibration_decay_s=0.3)
+    for world in (still, ringing):
+        end = world.stage.move_to(0.0, 90.0)
+    now = end + 1 / 140  # a quarter of a period
+    expected = 20 * np.exp(-1 / 140 / 0.3)
+    assert reading(ringing, now) - reading(still, now) == pytest.approx([expected, expected, 0.0], abs=1e-9)
+
+
 @pytest.mark.parametrize(("effects", "rms"), [((), 3.0), (("vibration_rectification",), 3 * 26**0.5)])
 def test_a_table_shakes_by_five_times_the_noise_if_an_effect_follows_it(effects, rms):
     world = silent([parse_effect(name) for name in effects], noise_mg=3.0)
@@ -227,6 +236,7 @@ def test_hidden_parameters_are_drawn_with_the_figures_of_the_variant():
         assert -most <= min(angles) < -0.9 * most, name
         assert 0.9 * most < max(angles) <= most, name
     assert np.std([truth["bias_temperature_x"] for truth in truths]) == pytest.approx(0.5, rel=0.1)
+    assert len({truths[0][name] for name in ("skew_xy", "skew_xz", "skew_yz")}) == 3
     # A setting in ppm/°C; the truth is a share per °C.
     gains = [truth[f"scale_temperature_{axis}"] for truth in truths for axis in "xyz"]
     assert np.std(gains) == pytest.approx(40e-6, rel=0.1)
@@ -323,6 +333,11 @@ def test_an_effect_of_the_attitude_turns_the_part():
     assert np.arctan2(y, x) == pytest.approx(-np.pi / 2 + 0.02)
 
 
+def test_effects_of_the_attitude_add_up():
+    x, y, _ = turned(silent([(Wobble(), (0.02, 0.0)), (Wobble(), (0.03, 0.0))]), 90.0)
+    assert np.arctan2(y, x) == pytest.approx(-np.pi / 2 + 0.05)
+
+
 def test_an_effect_may_depend_on_the_dwell():
     world = silent([(Wobble(), {"a": 0.0, "b": 0.03})])
     end = world.stage.move_to(0.0, 0.0)
@@ -342,21 +357,36 @@ def test_effects_get_every_condition():
     end = world.stage.move_to(0.0, 40.0, approach=-1)
     end = world.stage.move_to(end, 70.0)
     Everything.seen.clear()
-    world.sample(end + np.array([1.0, 2.0]))
+    world.sample(end + np.array([1.0, 20.0]))
     (conditions,) = Everything.seen
     assert conditions.lacks([f.name for f in fields(conditions)]) == ("line_hz", "session")
-    assert np.degrees(conditions.angle_rad) == pytest.approx(70.0)
+    seventy = np.radians(70.0)
+    assert conditions.angle_rad == pytest.approx(seventy)
     assert np.degrees(conditions.previous_angle_rad) == pytest.approx(40.0)
     assert conditions.order.tolist() == [1, 1]
     assert conditions.approach.tolist() == [1, 1]
-    assert conditions.time_in_dwell_s == pytest.approx([1.0, 2.0])
+    assert conditions.time_in_dwell_s == pytest.approx([1.0, 20.0])
     assert conditions.supply_v == pytest.approx(5.1)
+    load_s, load_mg = conditions.load_history
+    assert load_s[-1] == end
+    assert load_mg[-1] == pytest.approx(1000 * np.array([np.cos(seventy), -np.sin(seventy), 0.0]))
     history_s, history_c = conditions.temperature_history
     assert history_s[0] == 0.0
     assert history_s[-1] > conditions.time_s[-1]
     assert np.interp(conditions.time_s, history_s, history_c) == pytest.approx(
         conditions.temperature_c, abs=1e-3
     )
+
+
+def test_effects_get_the_rate_of_a_turn_with_and_without_its_sign():
+    world = silent([(Everything(), ())])
+    end = world.stage.move_to(0.0, -90.0)
+    Everything.seen.clear()
+    world.sample(np.array([end / 2]))
+    (conditions,) = Everything.seen
+    fastest = np.pi / 2 * 45.0
+    assert conditions.rate_dps[0] == pytest.approx([0.0, 0.0, -fastest])
+    assert conditions.abs_rate_dps[0] == pytest.approx([0.0, 0.0, fastest])
 
 
 # -- settings -----------------------------------------------------------------------------------
