@@ -16,9 +16,9 @@ another interpreter. A mutant in a statement that no test of the room reaches ha
 The draw takes as many different lines as there are, uniformly, before any line comes twice, and on a
 line a place and one of the place's mutants. Not drawn, since no behaviour hangs on them: annotations,
 type aliases, `__all__`, texts of errors, warnings and log, flags that guard only against the programmer
-(`strict` of zip, `frozen` and `slots` of a dataclass), decorators that only cache or inform a type
-checker, generated files (a test compares them with their source), and mutants that do not compile.
-Docstrings have no mutants.
+(`strict` of zip, `frozen` and `slots` of a dataclass, `abstractmethod`), decorators that only cache or
+inform a type checker, generated files (a test compares them with their source), and mutants that do not
+compile. Docstrings have no mutants.
 
 Printed: every survivor with file, line and difference; then per room mutants, killed, timed out, survived,
 score (share that did not survive) and its 95 % interval (Wilson). A survivor is either *equivalent* (no
@@ -155,7 +155,9 @@ def _without_behaviour(node: ast.AST) -> Iterator[ast.expr | ast.stmt]:
         if node.returns is not None:
             yield node.returns
         yield from (
-            d for d in node.decorator_list if _name(d) in {"cache", "lru_cache", "dataclass_transform"}
+            d
+            for d in node.decorator_list
+            if _name(d) in {"abstractmethod", "cache", "lru_cache", "dataclass_transform"}
         )
 
 
