@@ -142,7 +142,9 @@ def read_all(path: Path) -> None:
         ("meta", 5, 1, DEEP, "nested more than 100 deep"),
         ("meta", 5, 1, "-9.8", "gravity_mps2 is -9.8"),
         ("meta", 7, 0, "weight\n", "not known"),
-        ("records", 2, 5, '{"filter_m": 1000}', "configuration.filter_m is 1000"),
+        ("records", 2, 5, '{"filter_m": 7}', "configuration.filter_m is 7"),
+        ("records", 2, 5, '{"smpl_prd": 0}', "configuration.smpl_prd is 0"),  # the data sheet forbids it
+        ("records", 2, 5, '{"smpl_prd": 256}', "configuration.smpl_prd is 256"),
         ("moves", 1, 5, "[0, 1]", "direction is [0, 1]"),
     ],
 )

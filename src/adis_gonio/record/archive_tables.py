@@ -235,7 +235,7 @@ _REGISTER_NUMBERS = mapping_of(whole(-0x8000, 0xFFFF))
 _OFFSETS = fields({}, {name: whole(*BY_NAME[name].range) for name in (*ACCEL_OFF, *GYRO_OFF)})
 _SCAN = list_of(choice(*BY_NAME, *UNITS), 0, len(BY_NAME))
 _RANGE = nullable(choice(*GYRO_LSB_DPS))
-_NUMBERING = {"smpl_prd": whole(0, 0xFF), "filter_m": whole(0, 6)}
+_NUMBERING = {"smpl_prd": whole(1, 0xFF), "filter_m": whole(0, 6)}
 
 _POSITION = fields(
     {"angle_deg": nullable(_ANGLE), "approach": _APPROACH, "use": _USE, "direction": nullable(_VECTOR)},
