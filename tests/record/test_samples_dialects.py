@@ -139,6 +139,19 @@ def test_a_temperature_of_no_part_is_refused_with_its_likely_cause(tmp_path, cel
     np.testing.assert_allclose(warm, 25.85)
 
 
+def test_a_unit_in_the_header_that_contradicts_its_key_is_refused_unless_the_user_gives_it(tmp_path):
+    text = "# accel_unit: mg\n# sensor: generic\ntime_s,position,ax [g],ay [g]\n0,1,1,0\n1,2,0,1\n"
+    message = refusal(saved(tmp_path, text))
+    assert (
+        "row 3: the header says accelerations in g, the line '# accel_unit: mg' states another" in message
+    )
+    assert load_session(saved(tmp_path, text), Overrides(accel_unit="g")).accel_unit == "g"
+    assert load_session(saved(tmp_path, text.replace(": mg", ": g"))).accel_unit == "g"
+    rates = "# gyro_unit: dps\ntime_s,position,ax,ay,gx [rad/s],gy [rad/s],gz [rad/s]\n0,1,1,0,0,0,0\n"
+    message = refusal(saved(tmp_path, rates), Overrides(accel_unit="g"))
+    assert "row 2: the header says rates in radps" in message
+
+
 def test_extra_columns_are_ignored_with_a_note_that_names_them(tmp_path):
     text = "time_s,Temp. [bar],ax,ay,position,comment\n0,1,2,3,0,hello\n1,1,2,4,0,\n"
     session = load_session(saved(tmp_path, text))

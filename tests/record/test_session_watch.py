@@ -48,6 +48,13 @@ def test_noise_is_not_taken_from_motion():
     assert later[-1] == pytest.approx([2.0] * 3, rel=0.1)
 
 
+@pytest.mark.parametrize(("times", "known"), [(9.5, True), (10.5, False)])
+def test_noise_is_measured_up_to_ten_times_that_of_the_data_sheet(times, known):
+    parts = np.array_split(samples(3, 30 * WINDOW, times * 2.0), 30)
+    meter = NoiseMeter(WINDOW, 2.0)
+    assert any(noise is not None for noise in map(meter.feed, parts)) is known
+
+
 def test_a_stuck_axis_is_no_quiet_axis():
     meter = NoiseMeter(WINDOW, 2.0)
     data = samples(5, 3000)
