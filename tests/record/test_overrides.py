@@ -68,6 +68,22 @@ def test_reversing_turns_angle_and_approach_and_leaves_what_is_unknown():
         Overrides(reverse=True).apply(replace(session, dwells=(dwell(0),)))
 
 
+def test_an_angle_that_was_noted_wrong_is_mended_and_recorded(file):
+    path = file("accel_unit: mg", "sensor: generic")
+    old = load_session(path)
+    number = old.dwells[2].position
+    session = load_session(path, Overrides(angles={number: 33.0}))
+    angles = [dwell.angle_deg for dwell in old.dwells]
+    assert [dwell.angle_deg for dwell in session.dwells] == [*angles[:2], 33.0, *angles[3:]]
+    change = session.facts["overrides"]["angles"]
+    assert (change["old"], change["new"]) == ({str(number): angles[2]}, {str(number): 33.0})
+    last = old.dwells[-1].position
+    with pytest.raises(UsageError, match=f"--angles 99=1: .*numbers go from 0 to {last}"):
+        load_session(path, Overrides(angles={99: 1.0}))
+    with pytest.raises(UsageError, match="no declared angles of a plane"):
+        Overrides(angles={0: 1.0}).apply(replace(old, plane="none"))
+
+
 def test_twice_reversed_is_the_session(file):
     session = load_session(file("accel_unit: mg"))
     again = Overrides(reverse=True).apply(Overrides(reverse=True).apply(session))

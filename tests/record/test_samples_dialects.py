@@ -230,11 +230,29 @@ def test_a_row_is_named_by_its_line_however_many_were_skipped(tmp_path):
         ("t / µs", 1e6),
         ("time_ms", 1e3),
         ("Zeit [ns]", 1e9),
+        ("time [min]", 1 / 60),
     ],
 )
 def test_units_of_time(tmp_path, header, factor):
     text = f"{header},position,ax,ay\n{0.25 * factor!r},0,1,2\n{0.5 * factor!r},0,3,4\n"
     np.testing.assert_array_equal(load_session(saved(tmp_path, text)).dwells[0].time_s, [0.25, 0.5])
+
+
+@pytest.mark.parametrize(
+    ("header", "cell", "field", "value"),
+    [
+        ("temp [°C]", "25.85", "temperature_c", 25.85),
+        ("temp [K]", "299", "temperature_c", 25.85),
+        ("Temperature (°F)", "77", "temperature_c", 25.0),
+        ("VDD [mV]", "4990", "supply_v", 4.99),
+        ("Winkel / rad", "0.5235987755982988", "angle_deg", 30.0),
+        ("turned [rad]", "-0.7853981633974483", "turned_deg", -45.0),
+    ],
+)
+def test_units_of_other_columns(tmp_path, header, cell, field, value):
+    text = f"time_s,position,{header},ax,ay\n0,0,{cell},1,2\n"
+    (dwell,) = load_session(saved(tmp_path, text)).dwells
+    np.testing.assert_allclose(getattr(dwell, field), value, rtol=1e-12)
 
 
 def test_a_time_without_a_unit_that_may_be_in_ms_is_refused_with_the_remedy(tmp_path):
