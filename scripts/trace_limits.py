@@ -52,10 +52,10 @@ from blind_residual.causes import CAUSES, names_of
 from blind_residual.oracle import CLAIM, PRIOR, Weighing
 from tracing.blind import FOREIGN, KINDS, SEEN, SIZES, Blind, draw
 from tracing.lens import Lens
-from tracing.named_truth import _LASTING, _OF_ONE_AXIS, NAMES, Term, catalogued_term
+from tracing.named_truth import LASTING, NAMES, OF_ONE_AXIS, Term, catalogued_term
 from tracing.plans import Floats
 from tracing.undeclared import BEYOND, GRAMMAR
-from tracing.verdict import _right_set, drives, innocent
+from tracing.verdict import drives, innocent, is_right_set
 
 Outcomes = dict[str, float]
 Answer = tuple[frozenset[str], tuple[str, ...] | None]
@@ -106,13 +106,13 @@ def named_blocks(blind: Blind, lens: Lens) -> list[Block]:
     for name in able:
         axes = {"x": 1 / 3, "y": 1 / 3, "xy": 1 / 3}
         choices: Sequence[float] = (0.0,)
-        if name in _OF_ONE_AXIS:
+        if name in OF_ONE_AXIS:
             axes = {"x": 2 / 3, "y": 1 / 3}
         elif catalogued_term(name, "x", 3.0).attitude or name == "outlier_dwell":
             axes = {"xy": 1.0}
         if name == "stage_periodic":
             choices = range(3, max((angles - 1) // 2, 3) + 1)
-        elif name in _LASTING:
+        elif name in LASTING:
             choices = taus.tolist()
         elif name in {"position_slip", "outlier_dwell"}:
             choices = np.flatnonzero(~bench.check)[1:].tolist()
@@ -340,7 +340,7 @@ def is_right(blind: Blind, lens: Lens, answer: Answer) -> bool:
         return covariates is not None and drives(blind.terms[0], list(covariates), lens)
     if covariates is not None:
         return False
-    return names == blind.names or (bool(names) and _right_set(blind, lens, tuple(names)))
+    return names == blind.names or (bool(names) and is_right_set(blind, lens, tuple(names)))
 
 
 def blind_outcomes(kind: str, seed: int, index: int) -> Outcomes:
@@ -437,14 +437,14 @@ class View:
     def __init__(self, one: sessions.StrangeSession) -> None:
         self.one, self.bench = one, one.bench
         self.fit = (~self.bench.check).repeat(2)
-        self.base = sessions._base(self.bench)
+        self.base = sessions.base_columns(self.bench)
         self.q = np.linalg.qr(self.base[self.fit])[0]
         self.y = self.white(sessions.dwell_means(one))
         self.rest = self.past_base(self.y)
 
     def white(self, values: Floats) -> Floats:
         """Whiten changes (n, 2) of the readings to (2 n,)."""
-        return np.asarray(sessions._whitened(self.bench, values).ravel())
+        return np.asarray(sessions.whiten(self.bench, values).ravel())
 
     def past_base(self, columns: Floats) -> Floats:
         """Return the rows of the fit outside the base model."""
@@ -455,8 +455,8 @@ class View:
         """Return the rms of check dwells and of the other dwells if the cause contributes `added`."""
         left = self.y - added
         solved = np.linalg.lstsq(self.base[self.fit], left[self.fit], rcond=None)[0]
-        mg, _ = sessions._unwhitened(self.bench, (left - self.base @ solved).reshape(-1, 2))
-        return sessions._rms(mg[self.bench.check]), sessions._rms(mg[~self.bench.check])
+        mg, _ = sessions.unwhiten(self.bench, (left - self.base @ solved).reshape(-1, 2))
+        return sessions.rms(mg[self.bench.check]), sessions.rms(mg[~self.bench.check])
 
     def residual_left(self, check_mg: float, fit_mg: float) -> bool:
         """Return True if noise alone does not leave these errors."""
@@ -476,7 +476,7 @@ def listed(view: View, rng: np.random.Generator) -> tuple[list[str], Floats]:
             shape = kind.shape(view.bench, rng, axis)
             ratio = rng.choice([-1, 1]) * rng.uniform(0.4, 1.5)
             names.append(kind.name)
-            columns.append(view.white(sessions._placed(kind, view.bench, shape, axis, ratio)))
+            columns.append(view.white(sessions.placed_basis(kind, view.bench, shape, axis, ratio)))
     return names, np.column_stack(columns)
 
 
@@ -546,7 +546,7 @@ def smooth_prediction(view: View) -> tuple[Floats, float]:
         w, v = np.linalg.eigh(np.exp(-0.5 * distance / length**2))
         roots = (v * np.sqrt(np.maximum(w, 0)))[:, w > 1e-9].T
         axis = int(view.one.axis == "y")
-        placed = [sessions._placed(kind, bench, root, axis, 0.0) for root in roots]
+        placed = [sessions.placed_basis(kind, bench, root, axis, 0.0) for root in roots]
         placed += [one[:, ::-1] for one in placed if kind.enters == "zeros"]
         features = np.column_stack([view.white(one) for one in placed])
         u, s, vt = np.linalg.svd(view.past_base(features), full_matrices=False)

@@ -78,7 +78,7 @@ def draw_session(kind: Kind, rng: np.random.Generator) -> StrangeSession:
         axis = int(rng.integers(2))
         shape = kind.shape(bench, rng, axis)
         ratio = rng.choice([-1, 1]) * rng.uniform(0.4, 1.5)
-        basis = _placed(kind, bench, shape, axis, ratio)
+        basis = placed_basis(kind, bench, shape, axis, ratio)
         seen = _seen(bench, basis)
         if seen is None:
             continue
@@ -94,7 +94,7 @@ def draw_session(kind: Kind, rng: np.random.Generator) -> StrangeSession:
     raise RuntimeError(f"{kind.name}: no bench shows this disturbance")
 
 
-def _placed(kind: Kind, bench: Bench, shape: Array, axis: int, ratio: float) -> Array:
+def placed_basis(kind: Kind, bench: Bench, shape: Array, axis: int, ratio: float) -> Array:
     """Change of the readings by a shape of size one, shape (n, 2)."""
     placed = np.zeros((len(shape), 2))
     match kind.enters:
@@ -114,8 +114,8 @@ def _placed(kind: Kind, bench: Bench, shape: Array, axis: int, ratio: float) -> 
 def _seen(bench: Bench, basis: Array) -> float | None:
     """Rms per dwell, in standard deviations, of the part that the base cannot absorb; None if too small."""
     fit = ~bench.check
-    whitened = _whitened(bench, basis)[fit].ravel()
-    rest = whitened - _projected(_base(bench)[fit.repeat(2)], whitened)
+    whitened = whiten(bench, basis)[fit].ravel()
+    rest = whitened - _projected(base_columns(bench)[fit.repeat(2)], whitened)
     whole = float(np.linalg.norm(whitened - whitened.mean()))
     left = float(np.linalg.norm(rest))
     return left / np.sqrt(fit.sum()) if left > LEAST_SEEN * whole > 0 else None
@@ -125,7 +125,7 @@ def _projected(design: Array, target: Array) -> Array:
     return np.asarray(design @ np.linalg.lstsq(design, target, rcond=None)[0])
 
 
-def _whitened(bench: Bench, values: Array) -> Array:
+def whiten(bench: Bench, values: Array) -> Array:
     """Divide readings (n, 2) by the root of their covariance: noise, and the fixture along the slope."""
     slopes = bench.slopes()
     length = np.linalg.norm(slopes, axis=1, keepdims=True)
@@ -136,7 +136,7 @@ def _whitened(bench: Bench, values: Array) -> Array:
     return (values - shrink * part * along) / sigma
 
 
-def _base(bench: Bench) -> Array:
+def base_columns(bench: Bench) -> Array:
     """Whitened columns of gains, angles and biases, shape (2 n, 6)."""
     cos, sin, one, none = (
         np.cos(bench.theta),
@@ -147,7 +147,7 @@ def _base(bench: Bench) -> Array:
     columns = []
     for shape in (cos, sin, one):
         columns += [np.column_stack([shape, none]), np.column_stack([none, shape])]
-    return np.column_stack([_whitened(bench, column).ravel() for column in columns])
+    return np.column_stack([whiten(bench, column).ravel() for column in columns])
 
 
 def dwell_means(session: StrangeSession) -> Array:
@@ -160,20 +160,20 @@ def consult_oracle(session: StrangeSession) -> Oracle:
     """Fit bias, gains, Δφ and the amplitude of the true shape by weighted least squares."""
     bench, fit = session.bench, ~session.bench.check
     means = dwell_means(session)
-    whitened = _whitened(bench, means).ravel()
-    base = _base(bench)
-    whole = np.column_stack([base, _whitened(bench, session.basis_mg).ravel()])
+    whitened = whiten(bench, means).ravel()
+    base = base_columns(bench)
+    whole = np.column_stack([base, whiten(bench, session.basis_mg).ravel()])
     rows = fit.repeat(2)
     errors = []
     for design in (whole, base):
         solved = np.linalg.lstsq(design[rows], whitened[rows], rcond=None)[0]
         residual = (whitened - design @ solved).reshape(-1, 2)
-        remaining, angles = _unwhitened(bench, residual)
+        remaining, angles = unwhiten(bench, residual)
         errors.append(
             (
-                _rms(remaining[bench.check]),
-                _rms(remaining[fit]),
-                _rms(angles[bench.check]),
+                rms(remaining[bench.check]),
+                rms(remaining[fit]),
+                rms(angles[bench.check]),
                 _half_chi2(residual[fit]),
             )
         )
@@ -181,7 +181,8 @@ def consult_oracle(session: StrangeSession) -> Oracle:
     return Oracle(true[0], true[1], true[2], bias[0], bias[1], bias[2], bias[3] - true[3])
 
 
-def _rms(values: Array) -> float:
+def rms(values: Array) -> float:
+    """Root mean square of all values."""
     return float(np.sqrt(np.mean(values**2)))
 
 
@@ -189,7 +190,7 @@ def _half_chi2(whitened: Array) -> float:
     return 0.5 * float((whitened**2).sum())
 
 
-def _unwhitened(bench: Bench, whitened: Array) -> tuple[Array, Array]:
+def unwhiten(bench: Bench, whitened: Array) -> tuple[Array, Array]:
     """Residual in mg at the best attitude of each dwell (n, 2), and error of the angle in degrees (n,).
 
     A whitened component along the slope is r/√(σ² + s²); the best attitude leaves r σ²/(σ² + s²) of it.

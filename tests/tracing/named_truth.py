@@ -131,7 +131,7 @@ _STAGE: dict[str, tuple[tuple[str, ...], Callable[[Rows], Floats], tuple[str, ..
         (),
     ),
 }
-_LASTING: dict[str, tuple[str, Callable[[Rows, Floats, int, float], Floats], tuple[str, ...]]] = {
+LASTING: dict[str, tuple[str, Callable[[Rows, Floats, int, float], Floats], tuple[str, ...]]] = {
     "thermal_lag": (
         "lag_{i}",
         lambda r, a, i, tau: lagged(r, r.history[1], tau) - r.temperature_c,
@@ -141,11 +141,11 @@ _LASTING: dict[str, tuple[str, Callable[[Rows, Floats, int, float], Floats], tup
     "creep": ("creep_{i}", lambda r, a, i, tau: (lagged(r, r.loads[:, i], tau) - a[:, i]) / 1000, ()),
 }
 """Names with a time constant."""
-_OF_ONE_AXIS = {"misalignment_temperature"}
+OF_ONE_AXIS = {"misalignment_temperature"}
 """Names that are drawn on one axis: two leans at once are one lean and a part that turns with its mount."""
 MOST_CYCLES = 24
 """Most cycles a turn of `stage_periodic` that the judge tries."""
-NAMES = (*_READING, *_STAGE, *_LASTING, "stage_periodic", "position_slip", "outlier_dwell")
+NAMES = (*_READING, *_STAGE, *LASTING, "stage_periodic", "position_slip", "outlier_dwell")
 
 
 def catalogued_term(name: str, axes: str, choice: float) -> Term:
@@ -160,8 +160,8 @@ def catalogued_term(name: str, axes: str, choice: float) -> Term:
         return Term(
             name, lambda r, a: waves(r), np.ones(len(labels)), attitude=True, reported=labels, needs=needs
         )
-    if name in _LASTING:
-        label, late, needs = _LASTING[name]
+    if name in LASTING:
+        label, late, needs = LASTING[name]
         basis = on_axes(axes, lambda r, a, i: late(r, a, i, choice))
         labels = tuple(label.format(i=i) for i in axes)
         return Term(name, basis, ones, reported=labels, shapes={"tau": choice}, needs=needs)
@@ -199,12 +199,12 @@ def draw_named(
     """A catalogued term with random axes, signs and shapes (its size is set afterwards)."""
     axes = str(rng.choice(choices))
     choice = 0.0
-    if name in _OF_ONE_AXIS:
+    if name in OF_ONE_AXIS:
         axes = axes[0]
     if name == "stage_periodic":
         angles = len(np.unique(np.round(np.mod(rows.angle_rad[~check], 2 * np.pi), 6)))
         choice = float(rng.integers(3, max((angles - 1) // 2, 3), endpoint=True))
-    elif name in _LASTING:
+    elif name in LASTING:
         choice = float(rows.time_s[-1] * np.exp(rng.uniform(np.log(0.05), np.log(0.4))))
     elif name in {"position_slip", "outlier_dwell"}:
         choice = float(rng.choice(np.flatnonzero(~check)[1:]))
@@ -216,11 +216,11 @@ def draw_named(
 
 def alternatives(name: str, rows: Rows, axes: str = "xy") -> list[Term]:
     """All that `name` could mean in a session: every axis, time constants by grid, each dwell, degrees."""
-    if name in _OF_ONE_AXIS:
+    if name in OF_ONE_AXIS:
         return [catalogued_term(name, axis, 0.0) for axis in axes]
     if name == "stage_periodic":
         return [catalogued_term(name, axes, float(cycles)) for cycles in range(3, MOST_CYCLES + 1)]
-    if name in _LASTING:
+    if name in LASTING:
         taus = rows.time_s[-1] * np.geomspace(0.01, 4, 14)
         return [catalogued_term(name, axes, float(tau)) for tau in taus]
     if name in {"position_slip", "outlier_dwell"}:

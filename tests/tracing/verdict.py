@@ -146,7 +146,7 @@ def judge(blind: Blind, result: Mapping[str, Any], seconds: float = 0.0) -> Verd
     if not blind.undeclared:
         told_apart = {name for group in groups if blind.names & set(group) for name in group}
         honest = found and len(blind.terms) == 1 and set(claimed) <= told_apart
-        exact = (_right_set(blind, lens, claimed) or honest) and unnamed is None
+        exact = (is_right_set(blind, lens, claimed) or honest) and unnamed is None
     else:
         exact = found and not wrong and unnamed is not None
     said = [] if unnamed is None else [covariate(word) for word in unnamed["covariates"]]
@@ -205,7 +205,8 @@ def _explains(lens: Lens, target: Floats, names: list[str], beside: list[Floats]
     return lens.unexplained_by_names(target, names, beside) < TELLABLE
 
 
-def _right_set(blind: Blind, lens: Lens, claimed: tuple[str, ...]) -> bool:
+def is_right_set(blind: Blind, lens: Lens, claimed: tuple[str, ...]) -> bool:
+    """Whether the claimed names are those put in, or no more names that explain as much."""
     if len(claimed) > len(blind.terms):
         return False
     if set(claimed) == blind.names:
