@@ -10,7 +10,8 @@ from adis_gonio.base.errors import DataError
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import in_mg, readings_of
-from adis_gonio.handover.digital_twin import compare, noise_of, simulate_like
+from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm
+from adis_gonio.handover.digital_twin import LikeWorld, compare, noise_of, simulate_like
 from adis_gonio.tracing.named_candidates import named_terms
 from recordings import recording
 
@@ -56,6 +57,18 @@ def test_the_twin_of_a_simulated_session_agrees_with_it_and_has_its_effects(sess
     quadratic = next(finding for finding in again.found if finding.effect == "quadratic")
     value = quadratic.parameters["k2_x"]
     assert value.value == pytest.approx(3.0, abs=5 * value.u + 0.3)
+
+
+def test_the_world_of_a_twin_states_the_values_of_the_fit_as_its_truth(session, traced):
+    final = traced.fits[-1]
+    basis = Basis("time", ("time",), common=lambda conditions: conditions.time_s[:, None])
+    unnamed = NamelessTerm("drift of x", ("time",), 0.0, "bias", (0,), basis)
+    fit = final.with_terms([*final.terms, unnamed], [*final.values.terms, np.zeros(1)])
+    noise = noise_of(session, final.data.unit)
+    truth = LikeWorld(fit, noise, sensor=session.sensor, seed=1, offset_s=5.0).truth()
+    (quadratic,) = (k for k, term in enumerate(final.terms) if term.name == "quadratic")
+    assert truth["traced.k2_x"] == final.values.terms[quadratic][0] == pytest.approx(3.0, abs=0.5)
+    assert truth["delta_k"] == pytest.approx(final.values.base[1] / final.values.base[2] - 1)
 
 
 def test_a_model_that_lacks_the_effect_makes_a_twin_that_does_not_agree(session, traced):

@@ -20,7 +20,7 @@ from adis_gonio.fitting.allan.spectral_likelihood import overlapping
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, Unit, readings_of
 from adis_gonio.fitting.estimation.spectrum import noise_of_means
-from adis_gonio.fitting.estimation.terms import Term
+from adis_gonio.fitting.estimation.terms import NamedTerm, Term
 from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, Parameter
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
 from adis_gonio.page.document import Figure, Role, Section, Series, Style, Table, plot
@@ -129,8 +129,8 @@ class TermEffect(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """No parameters: the values are used as the fit gave them."""
-        return ()
+        """Parameters of a named term; none of an unnamed term, whose values have no names."""
+        return self.term.effect.parameters if isinstance(self.term, NamedTerm) else ()
 
     def attitude_rad(self, values: Floats, conditions: Conditions) -> Floats:
         """Return the angle in rad (n,) by which the term turns the sensor."""

@@ -224,7 +224,8 @@ class World:
         if warm:
             result["delta_k"] = result["scale_x"] / result["scale_y"] - 1
         for effect, values in self.effects:
-            for parameter, value in zip(effect.parameters, values, strict=True):
+            # The values of an unnamed term of a trace have no names.
+            for parameter, value in zip(effect.parameters, values, strict=False):
                 result[f"{effect.name}.{parameter.name}"] = float(value)
         return result
 
