@@ -95,6 +95,25 @@ def test_parameters_are_of_the_session_or_of_the_part():
     assert one_part.names == SPACE.names
 
 
+def test_sessions_of_one_part_begin_with_the_mean_of_their_gains_and_each_with_its_own_angle():
+    origins = [SessionOrigin(label, "7") for label in "abc"]
+    model = JointMeasurement([PLANE] * 3, origins, np.repeat([0, 1], 4))
+    theta = np.radians([0.0, 50.0, 200.0, 300.0] * 2)
+    one, other = ([0.3, 1.1, 0.9, -0.02], [-1.2, 1.0, 1.0, 0.04])
+    reading = np.concatenate([planar(one, theta[:4]), planar(other, theta[4:])])
+    found, off = model.begin(reading, theta, at_rest(8))
+    assert model.names == ("alpha@a", "scale_x", "scale_y", "delta_phi", "alpha@b", "alpha@c")
+    # Session c has no dwells: its angle is nominal.
+    assert found == pytest.approx([0.3, 1.05, 0.95, 0.01, -1.2, 0.0])
+    assert off == pytest.approx(np.zeros(8))
+    assert model.start_rad(found) == pytest.approx([0.3] * 4 + [-1.2] * 4)
+    some = model.rows(np.arange(8) % 2 == 0)
+    assert some.start_rad(found) == pytest.approx([0.3, 0.3, -1.2, -1.2])
+    # An angle is determined by its own session, a gain by any session of the part.
+    declared = np.arange(8) < 4
+    assert model.visible(reading, declared).tolist() == [True, True, True, True, False, False]
+
+
 def test_a_skew_is_the_angle_that_two_axes_lack_to_a_right_one_and_a_gain_is_along_its_axis():
     skews = np.radians([3.0, -2.0, 1.5])
     axes = axes_matrix(skews)
