@@ -52,6 +52,16 @@ def test_a_shock_counts_in_its_own_step_alone():
     assert disturbance_of(level, 29, 1.0).coloured_mg2 < 1
 
 
+def test_a_shock_does_not_change_the_colour_of_a_tremor():
+    rng = np.random.default_rng(5)
+    level = 1000 + process(rng, 75, 1.2, -0.8, 3.0) + white(rng, 75, 1.0)
+    struck = level.copy()
+    struck[40] += 100.0
+    one, other = disturbance_of(level, 20, 1.0), disturbance_of(struck, 20, 1.0)
+    for name in ("coloured_mg2", "first", "second"):
+        assert getattr(other, name) == pytest.approx(getattr(one, name), rel=0.2)
+
+
 def test_before_there_is_enough_to_see_a_hand_is_supposed():
     assert disturbance_of(np.full(5, 1000 + 0j), 2, 1.0).coloured_mg2 == START_MG**2
 
