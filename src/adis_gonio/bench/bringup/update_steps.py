@@ -189,11 +189,9 @@ def check_data_ready(bench: BringupBench, found: StepResult) -> Ending:
             _enable_data_ready(bench, before, first=True)
             expected, edges = _count_edges(bench, period)
             found.measure("edges counted", edges, expected=expected)
-            # Two edges may lie on either side of the span, and the clocks of bridge and part are off.
-            slack = 2 + (Z * BOARD_CLOCK_U + bench.clock_error) * expected
             if edges == 0:
                 raise NotMeasuredError(_NO_EDGE)
-            if abs(edges - expected) > slack:
+            if abs(edges - expected) > _slack(bench, expected, Z * BOARD_CLOCK_U):
                 return Verdict.FAULT, _describe_rate(edges, expected, period)
         if not streams:
             bench.data_ready = True
@@ -238,6 +236,15 @@ def _count_edges(bench: BringupBench, period_s: float) -> tuple[float, int]:
     return (bench.bus.now_s() - begin_s) / period_s, edges
 
 
+def _slack(bench: BringupBench, expected: float, clock: float) -> float:
+    """Return the largest difference between numbers of edges and of updates that is not a fault.
+
+    One edge may lie at each end of the span. `expected` is the number of updates in it, and `clock` the
+    largest relative error of the bridge's times; the error of the part's clock is added.
+    """
+    return 2 + (clock + bench.clock_error) * expected
+
+
 def _describe_rate(edges: int, expected: float, period_s: float) -> str:
     rate = edges / expected / period_s
     rest = (
@@ -279,8 +286,7 @@ def _scan_at_edges(bench: BringupBench, period_s: float) -> _Edges:
     times = np.concatenate([block.time_s for block in blocks])
     lost = sum(block.lost for block in blocks[1:])  # edges before the first block do not count
     expected = float(times[-1] - times[0]) / period_s
-    # Allow for one edge at each end of the scans, and for the errors of the bridge's and the part's clocks.
-    slack = 2 + (_BENT + bench.clock_error) * expected
+    slack = _slack(bench, expected, _BENT)
     return _Edges(_positions(words), lost, *_jitter(times, period_s), expected, slack)
 
 
