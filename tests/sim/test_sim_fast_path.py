@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from adis_gonio.base.errors import UsageError
 from adis_gonio.sim import SimulatedChip, World, WorldSettings
 from sim.chip_rig import frames_apart, rd, wr
 
@@ -130,3 +131,11 @@ def test_a_frame_after_a_long_run_is_judged_by_the_run_s_last_frame(gap_us):
     at_s = 0.2 + (len(words) - 1) * 60e-6 + 16e-6 + gap_us * 1e-6
     replies = [chip.frame(rd(0x3C), start_s=at_s, clock_hz=1e6) for chip in (quick, slow)]
     assert replies[0] == replies[1] == {5.0: 0xFFFF, 10.0: 0x0001, 30.0: 0x0402}[gap_us]
+
+
+def test_frames_before_the_time_of_the_chip_are_refused_in_a_batch_too():
+    chip = new_chip(1)
+    words = np.full(20, rd(0x0A), np.uint16)
+    frames_apart(chip, words, start_s=1.0, frame_s=200e-6, clock_hz=250e3)
+    with pytest.raises(UsageError, match="already simulated"):
+        frames_apart(chip, words, start_s=0.9, frame_s=200e-6, clock_hz=250e3)
