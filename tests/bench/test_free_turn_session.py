@@ -9,7 +9,6 @@ from click.testing import CliRunner
 
 from adis_gonio.base.errors import CannotOpenError, DataError
 from adis_gonio.bench.events import Finished, Problem, TurnDone, TurnProgress
-from adis_gonio.bench.guidance import turn_to_do
 from adis_gonio.bench.recorder import free_turn_plan
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
@@ -117,12 +116,6 @@ def test_forth_and_back_is_two_turns(tmp_path):
     truth = load_session(path).facts["truth"]
     for name in ("delta_k", "delta_phi", "bias_x", "bias_y"):
         assert abs(result[name].value - truth[name]) < 4 * result[name].u
-
-
-def test_the_prompt_asks_for_the_turns_of_the_plan():
-    assert "2 times all around" in turn_to_do(2)
-    assert "forth and back" in turn_to_do(2)
-    assert "once all around" in turn_to_do(1)
 
 
 def test_a_plan_keeps_its_turns_and_one_of_before_had_none():

@@ -22,7 +22,6 @@ from adis_gonio.bench.events import (
     TurnProgress,
     Watching,
 )
-from adis_gonio.bench.guidance import to_do
 from adis_gonio.bench.gyro_turns import gyro_turns_plan
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.bench.session_bench import SessionBench
@@ -33,7 +32,7 @@ from adis_gonio.fitting import fit
 from adis_gonio.fitting.gyros.gyro_readings import rate_intervals
 from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.loading import load_session
-from adis_gonio.record.plans import Plan, Position, plan as plan_by_name
+from adis_gonio.record.plans import plan as plan_by_name
 from adis_gonio.record.source import Settings
 from bench.hand_bench import Hand, hand_sensor
 
@@ -59,38 +58,8 @@ def recorded(tmp_path_factory):
 # -- plan and prompts ------------------------------------------------------------------------------
 
 
-def test_the_plan_turns_each_arrow_up_both_ways_and_rests_it_down():
-    made = gyro_turns_plan(5)
-    turned = [position.turned_deg for position in made.positions]
-    assert turned == [None, 1800.0, -1800.0, None] * 3
-    faces = [position.direction for position in made.positions if position.turned_deg is None]
-    assert len(set(faces)) == 6
-    assert np.sum(faces, axis=0) == pytest.approx([0, 0, 0])
-    assert Plan.from_dict(json.loads(json.dumps(made.as_dict()))) == made
-    assert len(gyro_turns_plan(5, 3)) == 9
-
-
 def test_plans_without_turns_are_written_as_before():
     assert "turned_deg" not in plan_by_name("mmpm").as_dict()["positions"][0]
-
-
-def test_a_prompt_says_which_way_how_often_how_fast_and_when_to_stop():
-    text = to_do(Position(None, 0, turned_deg=-1800.0), fastest_dps=90.0)
-    for said in ("5 times clockwise, seen from above", "back to the mark", "90 °/s at most (4 s a turn"):
-        assert said in text
-    assert "let it rest" in text
-    laid = to_do(gyro_turns_plan().positions[3], table=True)
-    assert laid == "lay the part flat on the table, against the mark, with its X arrow down"
-    assert str(gyro_turns_plan(1).positions[1]) == "1 turn counter-clockwise"
-
-
-@pytest.mark.parametrize(
-    ("turns", "faces", "message"),
-    [(0, 6, "take 1 to 20 each way"), (21, 6, "take 1 to 20 each way"), (5, 4, "take 6")],
-)
-def test_plans_that_cannot_be_are_refused(turns, faces, message):
-    with pytest.raises(UsageError, match=message):
-        gyro_turns_plan(turns, faces)
 
 
 @pytest.mark.parametrize(

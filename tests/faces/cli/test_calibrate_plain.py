@@ -9,15 +9,12 @@ import re
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 
 from adis_gonio.base.numbers import counted
-from adis_gonio.bench.guidance import PLANE, drawing, to_do
 from adis_gonio.faces.cli import main
 from adis_gonio.faces.cli.line_prompts import Lines
 from adis_gonio.record.loading import load_session
-from adis_gonio.record.plans import Position, plan
 from bench.hand_bench import HandBus
 from programs import running
 
@@ -196,40 +193,6 @@ def test_lines_are_taken_one_by_one_and_nobody_waits_where_there_is_none(monkeyp
 
 
 # -- words -------------------------------------------------------------------------------------------------
-
-
-def test_the_drawing_agrees_with_the_simulated_part():
-    """Read anew: what the simulator measures at 0° and +90°, against the words of the drawing."""
-    from adis_gonio.sim.settings import WorldSettings
-    from adis_gonio.sim.world import World
-
-    world = World(WorldSettings(alpha_deg=0.0, fixture_sigma_deg=0.0), seed=1)
-    start = world.stage.at(np.array([0.0])).direction[0]
-    end_s = world.stage.move_to(1.0, 90.0)
-    turned = world.stage.at(np.array([end_s + 1.0])).direction[0]
-    # The words for the start are on the left, the words for +90° on the right.
-    left, right = (" ".join(line[part].strip() for line in PLANE) for part in (slice(47), slice(47, None)))
-    assert "X arrow down (reads +1 g), Y level (0)" in left
-    assert start == pytest.approx([1, 0, 0], abs=1e-9)
-    assert "X level (0), Y arrow up (reads -1 g)" in right
-    assert turned == pytest.approx([0, -1, 0], abs=1e-9)
-    # Z towards the viewer: X down with Y right is right-handed, and so is X right with Y up.
-    right, up, toward = [1, 0, 0], [0, 1, 0], [0, 0, 1]
-    cross = np.cross
-    assert list(cross([0, -1, 0], right)) == toward
-    assert list(cross(right, up)) == toward
-
-
-def test_prompts_say_by_how_much_which_way_and_which_arrow():
-    here, there = Position(0.0), Position(90.0)
-    assert to_do(there, here) == "turn the part +90° (counter-clockwise) to 90°"
-    assert "(clockwise)" in to_do(there, here, reverse=True)
-    assert to_do(here) == "turn the part to 0°"
-    pose = Position(None, 0, "fit", (0.0, 0.0, -1.0))
-    assert to_do(pose) == "hold the part with its Z arrow up, still, near enough"
-    assert "X arrow down" in to_do(Position(None, 0, "fit", (1.0, 0.0, 0.0)))
-    assert drawing(plan("poses")) != drawing(plan())
-    assert all(line.replace("°", "").isascii() for line in (*drawing(plan("poses")), *drawing(plan())))
 
 
 def test_one_is_singular():
