@@ -114,6 +114,14 @@ def test_a_turn_ends_after_a_rest_that_is_longer_before_it_is_whole(angle_deg, r
     assert turn.ended == ended
 
 
+def test_a_turn_that_nobody_begins_ends_after_five_minutes_with_a_reason():
+    turn = turned()
+    turn.add(samples(1.0, 299.9))
+    assert turn.ended is None
+    turn.add(samples(300.9, 0.3))
+    assert turn.ended == "no whole turn within 300 s"
+
+
 # -- by hand, in the plane of gravity --------------------------------------------------------------------
 
 
