@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.bench.gyro_turns import GyroTurn, judge_whole_turn
+from adis_gonio.bench.gyro_turns import GyroTurn, judge_face, judge_whole_turn
 from adis_gonio.bench.recorder import FreeTurn, free_turn_plan
 from adis_gonio.record.blocks import ValueBlock
 from adis_gonio.record.plans import Position
@@ -112,6 +112,36 @@ def test_a_turn_ends_after_a_rest_that_is_longer_before_it_is_whole(angle_deg, r
     turn = turned((0.0, 0.0, angle_deg))
     turn.see(samples(11.0, rest_s))
     assert turn.ended == ended
+
+
+def test_a_rest_goes_on_over_blocks_and_begins_anew_after_a_motion():
+    turn = turned((0.0, 0.0, 360.0))
+    for begin_s, rate_dps, ended in (
+        (11.0, 0.0, None),
+        (11.5, 5.0, None),
+        (12.0, 0.0, None),
+        (12.5, 0.0, ""),
+    ):
+        turn.see(samples(begin_s, 0.5, (0.0, 0.0, rate_dps)))
+        assert turn.rate_dps == pytest.approx(rate_dps)
+        assert turn.ended == ended
+
+
+@pytest.mark.parametrize(
+    ("asked", "face"),
+    [((0.0, 0.0, -1.0), "Z arrow does not point up"), ((1.0, 0.0, 0.0), "X arrow does not point down")],
+)
+def test_a_face_may_lie_30_degrees_off(asked, face):
+    def leaning(off_deg):
+        """The reading with the Y arrow partly down instead."""
+        return 1000 * (
+            np.cos(np.radians(off_deg)) * np.array(asked) + [0.0, np.sin(np.radians(off_deg)), 0.0]
+        )
+
+    assert judge_face(leaning(29.9), asked) is None
+    found = judge_face(leaning(30.1), asked)
+    assert found.message.startswith(f"the {face}: 30° off")
+    assert judge_face(-leaning(0.0), asked).values["off_deg"] == pytest.approx(180.0)
 
 
 def test_a_turn_that_nobody_begins_ends_after_five_minutes_with_a_reason():

@@ -20,7 +20,7 @@ from adis_gonio.base.errors import SessionError, UsageError
 from adis_gonio.base.numbers import signed
 from adis_gonio.bench.dialogue import Reply
 from adis_gonio.bench.dwell_recorder import DwellRecorder
-from adis_gonio.bench.events import DwellInterrupted, Event, Guard, GuardKind, Problem
+from adis_gonio.bench.events import DwellInterrupted, Event, Guard, GuardKind, Problem, Vector
 from adis_gonio.bench.guards import angle_between_deg
 from adis_gonio.bench.guidance import turn_sense
 from adis_gonio.bench.recorder import FollowedTurn
@@ -188,13 +188,9 @@ class GyroTurnsRecorder(DwellRecorder):
         number = self._ledger.done.get(place)
         if number is None or asked is None or self._questions.auto:
             return
-        off = angle_between_deg(self._rest(place).accel_mg.mean(axis=0), asked)
-        if off <= 30.0:
+        guard = judge_face(self._rest(place).accel_mg.mean(axis=0), asked)
+        if guard is None:
             return
-        axis = "XYZ"[int(np.argmax(np.abs(asked)))]
-        face = "up" if min(asked) < 0 else "down"
-        message = f"the {axis} arrow does not point {face}: {off:.0f}° off; lay the part on another face"
-        guard = Guard("upside_down", message, {"off_deg": off})
         answer = yield from self._questions.ask_guard(guard, place)
         if answer in (Reply.RETAKE, Reply.SKIP):
             yield self._knowledge.withdraw(place)
@@ -276,6 +272,21 @@ def found_in(rest: Block, blocks: list[Block], sampling: Sampling) -> Integral |
         return "the times of its scans do not rise"
     twice = np.ones((2, 1))
     return integrate(Path(scans.time_s, rates, 1e-3 * force, twice * zero, twice * 1e-3 * lay), sampling)
+
+
+def judge_face(accel_mg: Floats, asked: Vector) -> Guard | None:
+    """Check that the requested arrow points up or down, to 30°; return None if it does.
+
+    `accel_mg` (3,) is the reading at rest, `asked` the reading of an ideal sensor with this arrow up or
+    down.
+    """
+    off = angle_between_deg(accel_mg, asked)
+    if off <= 30.0:
+        return None
+    axis = "XYZ"[int(np.argmax(np.abs(asked)))]
+    face = "up" if min(asked) < 0 else "down"
+    message = f"the {axis} arrow does not point {face}: {off:.0f}° off; lay the part on another face"
+    return Guard("upside_down", message, {"off_deg": off})
 
 
 def judge_whole_turn(turn: GyroTurn, found: Integral | str) -> Guard | None:
