@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from adis_gonio.bench.dwell_recorder import Recording
+from adis_gonio.bench.dwell_recorder import Recording, problems
+from adis_gonio.bench.guards import judge_dwell
+from adis_gonio.device.sensor.settings import ScanBlock, Status
 from adis_gonio.record.blocks import ValueBlock
 from adis_gonio.record.plans import Position
 
@@ -71,3 +73,53 @@ def test_samples_are_archived_before_in_and_after_the_dwell_and_lost_ones_count_
     never = recording(1.2).attempt("interrupted", 8.2, "not still")
     assert [(phase, len(block), block.lost) for phase, block in never.blocks] == [("before", 60, 2)] * 2
     assert (never.reason, never.place, never.outcome) == ("not still", 3, "interrupted")
+
+
+# -- problems of a dwell ----------------------------------------------------------------------------------
+
+EA = 0x4000
+SUPPLY_STEP_V = 1.8315e-3
+
+
+def scans(*supply_v: float, alarms: int = 0, lost: int = 0, dropped: int = 0) -> ScanBlock:
+    """Return scans with these supplies at 10 Hz, of which the first `alarms` have the flag EA."""
+    words = np.zeros((len(supply_v), 4), np.uint16)
+    words[:, 3] = np.rint(np.array(supply_v) / SUPPLY_STEP_V)
+    words[:alarms] |= EA
+    names = ("XACCL_OUT", "YACCL_OUT", "ZACCL_OUT", "SUPPLY_OUT")
+    return ScanBlock(names, words, np.arange(len(words)) / 10, lost, dropped=dropped)
+
+
+def test_a_good_dwell_has_no_problems():
+    assert problems(0, scans(5.0, 4.76, 5.24), Status(0)) == []
+    assert problems(0, scans(5.0), None) == []
+
+
+@pytest.mark.parametrize("wrong_v", [4.74, 5.26])
+def test_a_supply_out_of_range_in_one_scan_is_told_with_its_limits(wrong_v):
+    (found,) = problems(3, scans(5.0, wrong_v, 5.0), None)
+    assert (found.kind, found.place) == ("supply", 3)
+    assert f"between {min(5.0, wrong_v):.2f}" in found.message
+    assert found.message.endswith("the part needs 4.75 to 5.25 V")
+
+
+@pytest.mark.parametrize(
+    ("lost", "dropped", "told"),
+    [(1, 0, ["1 scan (20 %) lost"]), (0, 6, ["6 scans (60 %) left out"]), (4, 4, ["4 scans", "4 scans"])],
+)
+def test_lost_scans_are_told_as_a_share_of_all(lost, dropped, told):
+    found = problems(1, scans(*[5.0] * 4, lost=lost, dropped=dropped), None)
+    assert len(found) == len(told)
+    assert all(words in problem.message for words, problem in zip(told, found, strict=True))
+
+
+def test_an_alarm_that_status_does_not_explain_has_passed_and_the_guard_counts_its_scans():
+    block = scans(*[5.0] * 5, alarms=2)
+    (passed,) = problems(1, block, Status(0))
+    assert passed.kind == "alarm"
+    assert "it has passed" in passed.message
+    status, stands = problems(1, block, Status(0x0010))
+    assert (status.kind, stands.kind) == ("status", "alarm")
+    assert "it has passed" not in stands.message
+    (guard,) = judge_dwell(block, [passed])
+    assert (guard.kind, guard.values) == ("over_range", {"scans": 2.0})

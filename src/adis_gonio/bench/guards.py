@@ -19,7 +19,7 @@ from adis_gonio.base.numbers import format_uncertain, signed
 from adis_gonio.base.uncertainty import NORMAL_95
 from adis_gonio.bench.events import RETAKE, Guard, GuardKind, Problem, TurnMeasured, Vector
 from adis_gonio.model.effects.base import AXES
-from adis_gonio.record.blocks import Block, block_series
+from adis_gonio.record.blocks import Block, block_series, count_alarms
 from adis_gonio.record.plans import GAIN_LIMIT, Expectation, K, Position, PriorKnowledge, turned_deg
 from adis_gonio.record.stillness import SHIFT_MG
 
@@ -124,8 +124,7 @@ def judge_dwell(scans: Block, problems: Sequence[Problem]) -> list[Guard]:
         # A supply out of range also sets EA: it is the cause and comes first.
         found.sort(key=lambda problem: list(kinds).index(problem.kind))
         message = "; ".join(problem.message for problem in found)
-        alarms = 0 if scans.alarm is None else int(scans.alarm.sum())
-        guards.append(Guard(kinds[found[0].kind], message, {"scans": float(alarms)}))
+        guards.append(Guard(kinds[found[0].kind], message, {"scans": float(count_alarms(scans))}))
     series = block_series(scans)
     for kind, column, unit, limit in _STEPS:
         if column not in series or (kind == "supply" and guards):
