@@ -414,12 +414,24 @@ def test_rows_that_may_mix_updates_say_so_and_those_that_cannot_do_not():
         assert stream.caveat, "it holds for the rows that were delivered"
 
 
-def test_a_stream_stops_cleanly_and_leaves_the_bus_usable(sensor):
+@pytest.mark.parametrize("url", [SIM, f"{SIM}&stream=0"], ids=["streamed", "polled"])
+def test_a_stream_stops_cleanly_and_leaves_the_bus_usable(url):
+    sensor, bus = recorded(url)
     sensor.configure(data_ready=True)
     with sensor.stream(block_scans=16) as stream:
         assert len(next(stream)) > 0
-    assert list(stream) == []
+    assert next(stream, None) is None
     assert sensor.read("SMPL_PRD") == 1
+    sent = len(bus.batches)
+    stream.close()
+    assert len(bus.batches) == sent, "a second close does nothing"
+
+
+def test_a_block_may_have_one_scan(sensor):
+    with sensor.stream(block_scans=1) as stream:
+        assert len(next(stream)) >= 1
+    with pytest.raises(UsageError, match="block_scans"):
+        sensor.stream(block_scans=0)
 
 
 def test_a_scan_needs_an_output_register(sensor):
