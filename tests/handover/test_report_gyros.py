@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import pytest
@@ -35,6 +36,13 @@ def test_the_gyros_stand_beside_each_other_and_what_is_not_known_is_a_dash(sessi
     along_z = result["g_sensitivity_yz"]
     assert rows["force along Z adds / (°/s/g)"][1] == format_uncertain(along_z.value, along_z.U)
     assert "gain" not in rows  # no turns
+
+
+def test_the_columns_of_numbers_are_aligned_as_numbers(section):
+    (table,) = section.tables
+    number = re.compile(r"[−\d]")
+    columns = list(zip(*table.rows, strict=True))
+    assert {k for k, cells in enumerate(columns) if any(map(number.match, cells))} == set(table.numeric)
 
 
 def test_one_gain_of_three_is_told_apart_from_those_that_are_not_known(session, monkeypatch):

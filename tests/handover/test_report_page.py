@@ -17,9 +17,11 @@ from adis_gonio.fitting.slips.session_positions import Named, PositionFinding
 from adis_gonio.handover.calibration_report import (
     build_page,
     facts,
+    fitted_section,
     found_section,
     further_terms_section,
     positions_section,
+    residual_section,
     rivals_section,
 )
 from adis_gonio.model.effects import Conditions, effect
@@ -149,6 +151,31 @@ def test_a_session_without_effects_says_so_in_place_of_their_table(curved):
     assert (len(none.tables), list(none.words)) == (
         0, ["No effect had to be added, or none could be named."]
     )  # fmt: skip
+    for finding in result.found:
+        (note,) = (note for note in some.notes if note.startswith(f"{finding.effect}: "))
+        assert note.endswith(finding.cause)
+    assert list(none.notes) == []
+
+
+def test_remaining_residuals_share_a_figure_by_covariate_and_name_their_quantity(curved):
+    *_, views = curved
+    figures = residual_section(views).figures
+    covariates = {panel.covariate for panel in views.left}
+    assert len(figures) == len(covariates) < len(views.left)
+    assert all("residual / mg" in figure.svg for figure in figures)
+    norm = replace(views, left=(replace(views.left[0], quantity="norm"),))  # as in space
+    (figure,) = residual_section(norm).figures
+    assert "residual of the norm / mg" in figure.svg
+
+
+def test_the_results_of_a_session_without_any_method_say_why(curved):
+    session, *_ = curved
+    empty = fitted_section([], {})
+    assert (len(empty.tables), len(empty.words)) == (0, 1)
+    assert "too few poses" in empty.words[0]
+    failed = fitted_section([], {"mmpm": "the angles are not equidistant"})
+    assert (list(failed.words), list(failed.notes)) == ([], ["mmpm: the angles are not equidistant"])
+    assert list(fitted_section([fit(session, "ml")], {}).words) == []
 
 
 def test_a_wrong_position_has_its_angles_by_gravity_and_by_the_gyro():
