@@ -191,10 +191,9 @@ class LikeWorld(World):
         ]
         part = sensor if sensor in VARIANTS else "adis16354"
         super().__init__(_settings(fit), part=part, seed=seed, effects=effects)
-        # Axes without samples get the mean noise; the gyros have the noise of the variant.
+        # Axes without samples get the mean noise.
         self._white_sd[:3] = noise.white_mg.mean()
         self._white_sd[: data.axes] = noise.white_mg
-        self._white_sd[3:6] = self.variant.performance.gyro_noise_dps
         floor = np.zeros(6)
         floor[: data.axes] = noise.floor_mg
         own = np.random.SeedSequence((seed, 1)).spawn(2)
