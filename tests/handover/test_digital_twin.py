@@ -20,7 +20,7 @@ from recordings import recording
 def measured(tmp_path_factory):
     """A session with a strong quadratic term, seen only as a file."""
     path = tmp_path_factory.mktemp("twin") / "measured.csv"
-    arguments = ["--plan", "tumble", "--dwell", "3", "--seed", "4", "--effect", "quadratic:k2_x=3"]
+    arguments = ["--plan", "tumble", "--dwell", "0.5", "--seed", "4", "--effect", "quadratic:k2_x=3"]
     assert main(["simulate", *arguments, "-o", str(path)]) == 0
     return path
 
@@ -39,18 +39,38 @@ def session(measured):
 
 
 @pytest.fixture(scope="module")
-def traced(session):
-    return trace(session)
+def final(session):
+    """The model that a trace of the session finds: the biases and the quadratic term."""
+    data = readings_of(session)
+    terms = {term.label: term for term in named_terms(data)[0]}
+    kept = [terms["bias[xy]"], terms["quadratic[x]"]]
+    return Fit.begin(data).refit().with_terms(kept, [np.zeros(2), np.zeros(1)]).refit()
 
 
 @pytest.fixture(scope="module")
-def twin(session, traced):
-    return simulate_like(session, traced.fits[-1], seed=1)
+def twin(session, final):
+    return simulate_like(session, final, seed=1)
 
 
-def test_the_twin_of_a_simulated_session_agrees_with_it_and_has_its_effects(session, traced, twin):
+@pytest.mark.filterwarnings("error")
+def test_an_axis_without_noise_does_not_decide_on_the_filter(session):
+    still = tuple(
+        replace(dwell, accel=np.where([True, False, False], dwell.accel, dwell.accel[0]))
+        for dwell in session.dwells
+    )
+    noise = noise_of(replace(session, dwells=still), in_mg(2))
+    assert noise.filter_m == noise_of(session, in_mg(2)).filter_m
+    assert noise.white_mg[1] < 1e-9
+
+
+def test_a_session_agrees_with_itself_entirely(session, final):
+    found = compare(session, session, final)
+    assert (found.p_residual, found.p_variance, found.allan_ratio) == pytest.approx((1, 1, 1))
+
+
+def test_the_twin_of_a_simulated_session_agrees_with_it_and_has_its_effects(session, final, twin):
     assert [dwell.angle_deg for dwell in twin.dwells] == [dwell.angle_deg for dwell in session.dwells]
-    found = compare(session, twin, traced.fits[-1])
+    found = compare(session, twin, final)
     assert found.agrees, found
     assert found.allan_ratio == pytest.approx(1, abs=0.1)
     again = trace(twin)
@@ -59,8 +79,7 @@ def test_the_twin_of_a_simulated_session_agrees_with_it_and_has_its_effects(sess
     assert value.value == pytest.approx(3.0, abs=5 * value.u + 0.3)
 
 
-def test_the_world_of_a_twin_states_the_values_of_the_fit_as_its_truth(session, traced):
-    final = traced.fits[-1]
+def test_the_world_of_a_twin_states_the_values_of_the_fit_as_its_truth(session, final):
     basis = Basis("time", ("time",), common=lambda conditions: conditions.time_s[:, None])
     unnamed = NamelessTerm("drift of x", ("time",), 0.0, "bias", (0,), basis)
     fit = final.with_terms([*final.terms, unnamed], [*final.values.terms, np.zeros(1)])
@@ -71,45 +90,39 @@ def test_the_world_of_a_twin_states_the_values_of_the_fit_as_its_truth(session, 
     assert truth["delta_k"] == pytest.approx(final.values.base[1] / final.values.base[2] - 1)
 
 
-def test_a_model_that_lacks_the_effect_makes_a_twin_that_does_not_agree(session, traced):
-    final = traced.fits[-1]
+def test_a_model_that_lacks_the_effect_makes_a_twin_that_does_not_agree(session, final):
     kept = [k for k, term in enumerate(final.terms) if term.name == "bias"]
     lacking = final.with_terms([final.terms[k] for k in kept], [final.values.terms[k] for k in kept])
     twin = simulate_like(session, lacking, seed=1)
     assert not compare(session, twin, lacking).agrees
 
 
-def test_a_twin_is_measured_at_the_times_temperatures_and_voltages_of_the_session(session, traced):
+def test_a_twin_is_measured_at_the_times_temperatures_and_voltages_of_the_session(session, final):
     dwells = []
     for dwell in session.dwells:
         time_s = dwell.time_s
         dwells.append(
             replace(dwell, time_s=time_s, temperature_c=20 + 0.1 * time_s, supply_v=4.9 + 2e-3 * time_s)
         )
-    twin = simulate_like(replace(session, dwells=tuple(dwells)), traced.fits[-1], seed=1)
+    twin = simulate_like(replace(session, dwells=tuple(dwells)), final, seed=1)
     for dwell, simulated in zip(dwells, twin.dwells, strict=True):
         assert simulated.time_s == pytest.approx(dwell.time_s, abs=0.3)
         assert simulated.temperature_c.mean() == pytest.approx(dwell.temperature_c.mean(), abs=0.05)
         assert simulated.supply_v.mean() == pytest.approx(dwell.supply_v.mean(), abs=1e-3)
 
 
-def test_a_session_agrees_with_itself_entirely(session, traced):
-    found = compare(session, session, traced.fits[-1])
-    assert (found.p_residual, found.p_variance, found.allan_ratio) == pytest.approx((1, 1, 1))
-
-
-def test_as_many_readings_as_parameters_leave_nothing_to_compare(session, traced):
+def test_as_many_readings_as_parameters_leave_nothing_to_compare(session, final):
     two = replace(session, dwells=session.dwells[:2])
     with pytest.raises(DataError, match="no residual to compare"):
-        compare(two, two, traced.fits[-1])
+        compare(two, two, final)
 
 
-def test_a_session_with_other_noise_does_not_agree(session, traced, twin):
+def test_a_session_with_other_noise_does_not_agree(session, final, twin):
     rng = np.random.default_rng(3)
     louder = tuple(
         replace(dwell, accel=dwell.accel + rng.normal(0, 12, dwell.accel.shape)) for dwell in session.dwells
     )
-    assert not compare(replace(session, dwells=louder), twin, traced.fits[-1]).agrees
+    assert not compare(replace(session, dwells=louder), twin, final).agrees
 
 
 def test_a_term_of_the_vibration_has_the_variance_of_the_measured_dwells(short):
@@ -147,7 +160,7 @@ def test_simulate_like_writes_the_twin_as_a_samples_csv(capsys, short, tmp_path)
     assert "name it .csv" in capsys.readouterr().err
 
 
-def test_readings_that_somebody_averaged_have_no_noise_to_copy(session, traced):
+def test_readings_that_somebody_averaged_have_no_noise_to_copy(session, final):
     single = tuple(
         replace(
             dwell,
@@ -160,7 +173,7 @@ def test_readings_that_somebody_averaged_have_no_noise_to_copy(session, traced):
         for dwell in session.dwells
     )
     with pytest.raises(DataError, match="no noise to copy"):
-        simulate_like(replace(session, dwells=single, reading_u_mg=0.1), traced.fits[-1])
+        simulate_like(replace(session, dwells=single, reading_u_mg=0.1), final)
 
 
 def test_the_report_holds_the_comparison(short, tmp_path):
@@ -169,14 +182,3 @@ def test_the_report_holds_the_comparison(short, tmp_path):
     page = out.read_text()
     assert "The digital twin against the measured data" in page
     assert "Allan deviation of x" in page
-
-
-@pytest.mark.filterwarnings("error")
-def test_an_axis_without_noise_does_not_decide_on_the_filter(session):
-    still = tuple(
-        replace(dwell, accel=np.where([True, False, False], dwell.accel, dwell.accel[0]))
-        for dwell in session.dwells
-    )
-    noise = noise_of(replace(session, dwells=still), in_mg(2))
-    assert noise.filter_m == noise_of(session, in_mg(2)).filter_m
-    assert noise.white_mg[1] < 1e-9
