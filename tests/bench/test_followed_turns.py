@@ -199,6 +199,29 @@ def test_a_free_turn_ends_at_rest_after_its_turns_or_at_its_limit(legs, turns, e
     assert freely(*legs, turns=turns).ended == ended
 
 
+@pytest.mark.parametrize(
+    ("turned_deg", "state", "turn"), [(350.0, "turn", 1), (400.0, "turn", 2), (730.0, "after", 2)]
+)
+def test_the_progress_counts_turns_and_lost_scans(turned_deg, state, turn):
+    made = freely((0.0, 1.0), (turned_deg, 10.0), turns=2)
+    for lost in (3, 0, 2):
+        made.add(ValueBlock(COLUMNS[:3], made.blocks[-1].accel_mg, made.blocks[-1].time_s + 0.25, lost))
+    seen = made.progress(begun=True)
+    assert (seen.state, seen.turn, seen.turns, seen.lost) == (state, turn, 2, 5)
+    assert (seen.samples, seen.turned_deg) == (94, pytest.approx(turned_deg))
+    assert made.progress(begun=False).state == "rest"
+    done = made.done()
+    assert (done.lost, done.samples, done.turns) == (5, 94, int(turned_deg // 360))
+
+
+def test_a_gap_in_the_samples_after_a_turn_is_no_rest():
+    turn = freely((370.0, 10.0))
+    accel_mg = turn.blocks[-1].accel_mg[-1:]
+    for now_s, ended in ((14.0, None), (15.0, None), (16.5, None), (16.9, "")):
+        turn.add(ValueBlock(COLUMNS[:3], accel_mg, np.array([now_s])))
+        assert turn.ended == ended
+
+
 @pytest.mark.parametrize(("turns", "least_s"), [(1, 14.0), (2, 22.0), (5, 46.0)])
 def test_a_plan_of_free_turns_allows_45_degrees_a_second_between_two_rests_of_three_seconds(turns, least_s):
     assert free_turn_plan(turns, least_s).turns == turns

@@ -8,10 +8,20 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from adis_gonio.base.errors import FitError
-from adis_gonio.bench.writeback.offset_checks import Accelerometers, Agreement, Gyros, Rest, compare_effect
+from adis_gonio.base.errors import FitError, UsageError
+from adis_gonio.bench.writeback.offset_checks import (
+    Accelerometers,
+    Agreement,
+    Gyros,
+    Rest,
+    compare_effect,
+    measure,
+)
 from adis_gonio.bench.writeback.offset_plan import AxisPlan, WritePlan
+from adis_gonio.device.sensor import open_sensor
 from adis_gonio.model.records import Dwell, Session
+from adis_gonio.record.source import LEAST_SAMPLES
+from adis_gonio.record.stillness import window_samples
 
 SESSION = Session(())
 
@@ -150,6 +160,21 @@ def test_differences_are_named_with_their_unit_and_figures_have_two_decimals_in_
     found = Agreement("rates", ("Z",), np.array([0.1]), np.array([-0.4]), np.array([0.1]), "dps")
     assert found.excess == "Z +0.500 °/s (u 0.1 °/s)"
     assert str(found).startswith("rates: Z 0.100 °/s, expected −0.400 °/s")
+
+
+def test_a_dwell_has_its_length_at_least_16_samples_and_a_window_of_the_stillness_watch():
+    with open_sensor("sim:?seed=1") as sensor:
+        now = sensor.configuration()
+        least_s = LEAST_SAMPLES * now.sample_period_s
+        with pytest.raises(UsageError, match=f"take {least_s:.3g} s or more"):
+            measure(sensor, 0.99 * least_s, 5.0)
+        short = measure(sensor, least_s, 5.0)
+        assert short.samples >= max(window_samples(now), LEAST_SAMPLES)
+        found = measure(sensor, 1.0, 5.0, gyros=True)
+    assert found.samples == pytest.approx(819, abs=window_samples(now))
+    assert np.linalg.norm(found.mean_mg) == pytest.approx(1000, abs=40)
+    assert np.isnan(short.mean_dps).all()
+    assert np.isfinite(found.temperatures_c).all()
 
 
 # -- gyros against the session ----------------------------------------------------------------------------
