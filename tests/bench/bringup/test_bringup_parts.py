@@ -1,0 +1,162 @@
+"""Parts of a bring-up without a board: runs of scans, limits of statistics, the summary of the steps."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from adis_gonio.bench.bringup.bringup_step import (
+    QUESTIONS,
+    Bringup,
+    BringupBus,
+    BringupStep,
+    Measured,
+    NotMeasuredError,
+    Outcome,
+    StepResult,
+    Verdict,
+    highest_bin,
+    longest_run,
+    variance_ratio,
+)
+from adis_gonio.bench.bringup.part_steps import flicker, spectrum
+from adis_gonio.device.bus import SpiTiming
+from adis_gonio.sim import SimBus, World
+
+
+@pytest.mark.parametrize(
+    ("times", "run"),
+    [
+        ([0.0], (0, 1)),
+        ([0.0, 1.0, 2.0], (0, 3)),
+        ([0.0, 1.49, 2.98], (0, 3)),  # less than one and a half steps is no gap
+        ([0.0, 1.51, 2.5], (1, 3)),
+        ([0.0, 1.0, 5.0, 6.0, 7.0, 12.0], (2, 5)),
+        ([0.0, 1.0, 5.0, 6.0], (0, 2)),
+    ],
+)
+def test_the_longest_run_of_scans_has_no_gap(times, run):
+    assert longest_run(np.array(times), 1.0) == run
+    assert longest_run(np.array(times) * 1e-3, 1e-3) == run
+
+
+@pytest.mark.parametrize("dof", [2.0, 35.0, 4000.0])
+def test_a_measured_variance_leaves_its_limits_once_in_a_million(dof):
+    low, high = variance_ratio(dof)
+    assert stats.chi2.cdf(low * dof, dof) == pytest.approx(0.5e-6, rel=1e-6)
+    assert stats.chi2.sf(high * dof, dof) == pytest.approx(0.5e-6, rel=1e-6)
+
+
+def test_the_largest_of_many_bins_of_white_noise_exceeds_its_limit_once_in_a_million():
+    # Bins are exponential with the mean 1.
+    assert 1 - stats.expon.cdf(highest_bin(1)) == pytest.approx(1e-6)
+    assert stats.expon.sf(highest_bin(2000)) * 2000 == pytest.approx(1e-6)
+
+
+def test_a_periodogram_has_the_variance_of_white_noise_in_each_bin_and_no_trend():
+    rng = np.random.default_rng(1)
+    values = rng.normal(0.0, [1.0, 3.0], (4096, 2)) + np.linspace(0, 500, 4096)[:, None]
+    cycles, power = spectrum(values)
+    assert (cycles[0], cycles[-1], len(cycles)) == (0.0, 0.5, 2049)
+    assert power[1:-1].mean(axis=0) == pytest.approx([1.0, 9.0], rel=0.1)
+
+
+def test_flicker_in_a_periodogram_falls_with_the_frequency_and_belongs_to_its_allan_deviation():
+    level = flicker(np.array([0.1, 0.2]), np.array([1.0, 4.0]), 800.0)
+    # A density h/f has the Allan variance 2 ln 2 h; a one-sided density S is the level S rate / 2.
+    assert level[0, 0] == pytest.approx(0.1**2 / (2 * np.log(2)) * 400.0)
+    assert level == pytest.approx(level[0, 0] * np.array([[1.0, 4.0], [0.25, 1.0]]))
+
+
+# -- results of steps -------------------------------------------------------------------------------------
+
+
+def row(name: str, verdict: Verdict) -> StepResult:
+    return StepResult(name, "does something", "reads", verdict)
+
+
+def summary(*verdicts: Verdict, unrestored: list[str] | None = None) -> Bringup:
+    made = Bringup("sim:?seed=1", "adis16354", "2026-01-01T00:00:00+00:00", "adis-gonio")
+    made.rows = [row(f"step {k}", verdict) for k, verdict in enumerate(verdicts)]
+    if unrestored is not None:
+        made.undo = SimpleNamespace(rows=["a", "b", "c"], unrestored=unrestored)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "accused", "sound", "headline"),
+    [
+        ([Verdict.OK], (), True, "No fault was found."),
+        ([Verdict.OK, Verdict.FAULT], ("step 1",), False, "Fault: step 1."),
+        (
+            [Verdict.DIFFERS, Verdict.NOT_MEASURED],
+            ("step 0",),
+            True,
+            "No fault was found; differs from the table: step 0; 1 of 2 steps were not measured.",
+        ),
+        ([Verdict.FAULT, Verdict.DIFFERS, Verdict.FAULT], ("step 0", "step 1", "step 2"), False, None),
+    ],
+)
+def test_a_bring_up_accuses_faults_and_differences_and_is_sound_without_faults(
+    verdicts, accused, sound, headline
+):
+    made = summary(*verdicts)
+    assert (made.accused, made.sound) == (accused, sound)
+    assert made.headline == (headline or "Fault: step 0, step 2; differs from the table: step 1.")
+    assert made.as_dict()["sound"] == sound
+
+
+def test_a_register_that_was_not_put_back_spoils_the_bring_up():
+    assert summary(Verdict.OK).undone == "nothing was written"
+    good, bad = summary(Verdict.OK, unrestored=[]), summary(Verdict.OK, unrestored=["SENS_AVG"])
+    assert (good.undone_ok, good.sound) == (True, True)
+    assert "all of 3 registers" in good.undone
+    assert (bad.undone_ok, bad.sound) == (False, False)
+    assert "NOT put back: SENS_AVG" in bad.headline
+    assert bad.as_dict()["undone"]["verified"] is False
+
+
+def test_a_step_ends_by_its_answers():
+    found = row("filter", Verdict.NOT_MEASURED)
+    with pytest.raises(NotMeasuredError):
+        found.by_answers()
+    found.check("filter_gain", True, "as the table says", Measured("gain", 0.4))
+    assert found.by_answers() == (Verdict.OK, "as the table says")
+    found.check("sample_period", False, "twice the period")
+    assert found.by_answers() == (Verdict.DIFFERS, "twice the period")
+    assert [one.outcome for one in found.answers.values()] == [Outcome.CONFIRMS, Outcome.CONTRADICTS]
+    assert found.answers["filter_gain"].figures[0].value == 0.4
+
+
+def test_a_question_that_no_step_answers_says_why():
+    answers = {one["name"]: one for one in summary().as_dict()["answers"]}
+    assert list(answers) == [question.name for question in QUESTIONS]
+    assert len(set(answers)) == len(QUESTIONS) > 20
+    assert "oscilloscope" in answers["data_ready_pulse"]["text"]
+    assert answers["flash_count"]["text"] == "the step that answers it was not done"
+    assert {one["outcome"] for one in answers.values()} == {"not measured"}
+
+
+def test_a_step_is_described_by_the_first_line_of_its_docstring():
+    def run(bench, found):
+        """Read a register twice.
+
+        And more.
+        """
+
+    made = BringupStep("twice", run).new_result("the board is blocked")
+    assert (made.name, made.does, made.text) == ("twice", "Read a register twice", "the board is blocked")
+    assert (made.effect, made.verdict) == ("reads", Verdict.NOT_MEASURED)
+
+
+@pytest.mark.parametrize(("asked_hz", "given_hz"), [(1e6, 500e3), (250e3, 250e3)])
+def test_the_bus_of_a_bring_up_limits_the_clock_and_keeps_its_calls(asked_hz, given_hz):
+    bus = BringupBus(SimBus(World(seed=1)), 500e3)
+    bus.configure(SpiTiming(asked_hz, 75.0, 160.0))
+    assert bus.timing.clock_hz == given_hz
+    before = len(bus.calls)
+    bus.exchange([0x3800, 0])
+    assert len(bus.calls) == before + 1
