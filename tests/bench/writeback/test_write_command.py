@@ -2,9 +2,12 @@
 
 import io
 import json
+import re
+from dataclasses import replace
 
 import pytest
 
+from adis_gonio.bench.writeback import plan_offsets
 from adis_gonio.faces.cli import main
 from bench.writeback.rig import flash, new_bus, numbers
 
@@ -68,6 +71,25 @@ def test_dry_run_gives_the_plan_as_json_and_writes_nothing(bus, path, capsys):
     assert (x["register"], x["now"], x["new"], x["new_word"]) == ("XACCL_OFF", 0, -32, 0xFE0)
     assert x["effect_mg"] == pytest.approx(-32 * 0.4672)
     assert (numbers(bus), path.read_bytes()) == (OLD, before)
+
+
+def test_the_plan_tells_doubts_limits_and_what_changed_since_the_recording(bus, path, capsys, monkeypatch):
+    def planned(*given):
+        plan = plan_offsets(*given)
+        x, *others = plan.axes
+        return replace(plan, axes=(replace(x, clipped=True), *others), doubts=("a reason", "another one"))
+
+    monkeypatch.setattr("adis_gonio.bench.writeback.offset_checks.plan_offsets", planned)
+    command = ["write", str(path), URL, "--even-if-inadequate", *QUICK]
+    assert main([*command, "--yes"]) == 0
+    assert "when the session was recorded" not in capsys.readouterr().err
+    assert main([*command, "--dry-run"]) == 0
+    told = capsys.readouterr().err.splitlines()
+    assert {"doubtful: a reason", "doubtful: another one"} <= set(told)
+    changed = [line.split()[0] for line in told if line.endswith(" was 0 when the session was recorded")]
+    assert changed == ["XACCL_OFF", "YACCL_OFF"]
+    (line,) = (line for line in told if "at its limit" in line)
+    assert re.fullmatch(r"XACCL_OFF is at its limit: [+−]0\.\d mg of the bias remain", line)
 
 
 def test_json_of_a_write_and_status_and_undo(bus, path, capsys):

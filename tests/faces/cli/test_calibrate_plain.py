@@ -11,6 +11,7 @@ import sys
 
 import pytest
 
+from adis_gonio.base.errors import BusTimeoutError
 from adis_gonio.base.numbers import counted
 from adis_gonio.faces.cli import main
 from adis_gonio.faces.cli.line_prompts import Lines
@@ -81,6 +82,7 @@ def test_undo_note_pause_repeat_skip_and_nonsense_are_all_answers_that_lead_on(b
     assert {"n", "u", "p", "q"} <= set(re.split(r"[ ,]+", listed))
     assert "90° withdrawn" in said.err
     assert "paused" in said.err
+    assert re.search(r"so far: ΔK \S+\s±\s\S+, Δφ \(\S+\s±\s\S+\)° \(± U, 95 %\)", said.err)
     session = load_session(path)
     assert [remark["text"] for remark in session.facts["remarks"]] == ["loose clamp", "the lamp"]
     assert [dwell.angle_deg for dwell in session.dwells] == [0.0, 90.0, 270.0]
@@ -118,6 +120,21 @@ def test_an_extended_session_resumes_with_the_plan_that_it_began_with(bench):
     assert status == 0
     assert "complete" in said.err
     assert len(load_session(path).dwells) == 4
+
+
+def test_a_device_that_is_lost_leaves_the_command_that_goes_on(bench, monkeypatch):
+    def lost(_):
+        raise BusTimeoutError("the bridge does not answer")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("adis_gonio.faces.cli.line_prompts.PlainBench.run", lost)
+        status, said, path = bench("", "--plan", "four-position")
+    assert status == 1
+    assert "the bridge does not answer" in said.err
+    assert f"go on with adis-gonio calibrate '{SIM}' --resume -o {path}" in said.err
+    status, said, _ = bench("", "--plan", "four-position", "--resume", "--auto")
+    assert status == 0
+    assert "--resume -o" not in said.err
 
 
 def test_metadata_is_not_asked_of_a_pipe_and_is_kept_where_it_is_given(bench, capsys):

@@ -5,6 +5,7 @@ import json
 import re
 import subprocess
 import sys
+from itertools import takewhile
 
 import click
 import numpy as np
@@ -198,9 +199,14 @@ def test_fit_all_shows_every_method_and_nothing_is_wider_than_80_columns(capsys,
     assert "…" not in out
     for method in ("paper", "two-position", "four-position", "ml"):
         assert f"{method}, ± U" in out
-    for line in out.splitlines():
-        if line.startswith("delta_phi"):
-            assert "°" in line or "deg" in line
+    lines = out.splitlines()
+    heads = [k for k, line in enumerate(lines) if line.startswith("parameter ") and " unit " in line]
+    assert len(heads) >= 2
+    for k in heads:  # the units of a table stand below each other
+        at = lines[k].index("unit")
+        units = [line[at:].split(" ")[0] for line in takewhile(str.strip, lines[k + 1 :])]
+        assert units[:3] == ["", "°", "°"]
+        assert "mg" in units
 
 
 def test_fit_monte_carlo_stands_beside_the_linear_uncertainty(capsys, recorded):
@@ -457,6 +463,7 @@ def test_a_truncated_archive_gives_one_line_and_is_left_as_it_is(capsys, tmp_pat
         (["template", "-o", "-"], 2, "only export writes to standard output"),
         (["bringup", "--from", "x.rec", SIM], 2, "at most --sensor"),
         (["fit", "x.session", "--monte-carlo", "100", "--seed", "-1"], 2, "--seed"),
+        (["fit", "x.session", "--monte-carlo", "99"], 2, "99 is not in the range x>=100"),
         (["nosuch"], 2, "nosuch"),
         (["fit", "--nosuch"], 2, "--nosuch"),
     ],

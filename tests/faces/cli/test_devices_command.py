@@ -1,4 +1,4 @@
-"""`devices` lists what others can use, whatever one package does, and shows every word of it."""
+"""`devices` lists what others can use, whatever one package does; `serve` says who may connect."""
 
 import json
 
@@ -84,5 +84,35 @@ def test_brackets_and_colons_of_a_description_are_no_markup(capsys, plugged):
     plugged(Point("odd", lambda: [Device("odd:[red]", "bench [bold]3[/] :warning:")]))
     assert main(["devices"]) == 0
     out = capsys.readouterr().out
-    assert "odd:[red]" in out
+    assert any(line.startswith("odd:[red] ") for line in out.splitlines())
     assert "bench [bold]3[/] :warning:" in out
+
+
+@pytest.mark.parametrize(
+    ("options", "address", "writing", "warned"),
+    [
+        ([], "127.0.0.1", "read-only", False),
+        (["--allow-writes"], "::1", "clients may write", False),
+        (["--listen", "0.0.0.0"], "0.0.0.0", "read-only", True),
+        (["--listen", "fe80::1%eth0"], "fe80::1%eth0", "read-only", True),
+    ],
+)
+def test_serve_tells_on_standard_error_where_and_to_whom(
+    capsys, monkeypatch, options, address, writing, warned
+):
+    class Server:
+        def __init__(self, sensor, host, port, *, allow_writes, tell, ready):
+            self.ready = ready
+
+        def run(self):
+            self.ready(address, 30431)
+
+    monkeypatch.setattr("adis_gonio.faces.serve.IioServer", Server)
+    assert main(["serve", "sim:?seed=1", *options]) == 0
+    out, err = capsys.readouterr()
+    assert out == ""
+    lines = err.splitlines()
+    assert (
+        lines[0] == f"sim:?seed=1: served as iio:device0 at ip:{address}:30431, {writing}; Ctrl-C ends it"
+    )
+    assert ["there is no password" in line for line in lines[1:]] == [True] * warned
