@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import json
-import math
 from functools import cache
 
 import pytest
 
 from adis_gonio.bench.bringup import Outcome
-from adis_gonio.bench.bringup.bringup_step import Question
 from adis_gonio.bench.bringup.chip_rows import (
     ELSE,
     ROWS,
-    ChipRow,
-    RowFigure,
-    findings_text,
     judge_recordings,
 )
 from adis_gonio.device.sensor.registers import VARIANTS
@@ -115,42 +110,3 @@ def test_the_json_has_every_row_with_its_probabilities(recorded, capsys):
 def test_from_excludes_all_that_concerns_a_board(recorded, capsys, other):
     assert main(["bringup", other, "--from", str(recorded("", 4))]) == 2
     assert "--from" in capsys.readouterr().err
-
-
-def row(*alternatives: str, confidence: str = "C", wide: tuple[float, float] = (-10.0, 10.0)) -> ChipRow:
-    return ChipRow(Question("x", "X?", "", "", confidence, ""), lambda *_: (), alternatives, wide)
-
-
-def test_nothing_observed_leaves_the_prior_and_one_odd_event_among_many_no_doubt():
-    hypotheses = row("a", "b")
-    assert hypotheses.judge([]).outcome is Outcome.NOT_MEASURED
-    assert hypotheses.judge([]).probabilities["a"] == pytest.approx(0.9)
-    assert hypotheses.judge([*["a"] * 20, "b"]).outcome is not Outcome.CONTRADICTS
-    assert hypotheses.judge(["b"] * 3).best == "b"
-    assert hypotheses.judge(["c"] * 4).best == ELSE
-
-
-def test_a_figure_follows_the_normal_density_between_two_alternatives():
-    hypotheses = row("one", "two", confidence="C")
-    figure = RowFigure(1.4, 0.1, {"one": (1.0, 1.0), "two": (2.0, 2.0)})
-    # ln of the densities: -(0.4/0.1)²/2 and -(0.6/0.1)²/2, with a ten-thousandth of a flat density of 1/20.
-    densities = [0.9999 * math.exp(-z * z / 2) / (0.1 * math.sqrt(2 * math.pi)) + 5e-6 for z in (4.0, 6.0)]
-    chances = hypotheses.judge([figure]).probabilities
-    assert chances["one"] / chances["two"] == pytest.approx(0.9 * densities[0] / (0.05 * densities[1]))
-
-
-def test_two_of_eight_figures_off_contradict_the_table():
-    row_of = row("one", "two", confidence="A")
-    figures = [RowFigure(x, 0.01, {"one": (0.9, 1.1), "two": (2.0, 2.0)}) for x in (*[1.0] * 6, 1.5, 1.6)]
-    assert row_of.judge(figures[:6]).outcome is Outcome.CONFIRMS
-    assert row_of.judge(figures).best == ELSE
-
-
-def test_a_row_that_nothing_distinguishes_stays_open():
-    figure = RowFigure(0.2, 5.0, {"one": (0.0, 0.0), "two": (0.0, 0.0)})
-    assert row("one", "two").judge([figure]).outcome is Outcome.OPEN
-
-
-def test_long_rows_are_cut_to_the_width_of_the_table():
-    finding = row("a", "b").judge(["another word that is much too long for the table"] * 9)
-    assert max(map(len, findings_text([finding]).splitlines())) <= 80
