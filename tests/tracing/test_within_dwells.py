@@ -192,6 +192,17 @@ def test_values_that_stand_still_are_found():
     assert finding.places[0].time_s == pytest.approx(samples.time_s[5][200], abs=0.02)
 
 
+def test_values_of_one_axis_stand_still_beside_an_axis_without_noise():
+    samples = draw(np.random.default_rng(2))
+    rows = [own.copy() for own in samples.values]
+    for own in rows:
+        own[:, 0] = own[0, 0]
+    rows[5][200:260, 1] = rows[5][200, 1]
+    finding = only(samples.with_values(rows), "stuck")
+    assert finding is not None
+    assert finding.axes == ("y",)
+
+
 @pytest.mark.parametrize(("noise_steps", "shown"), [(0.9, True), (0.25, False)])
 def test_values_that_stand_still_are_normal_if_the_noise_is_below_the_converters_step(noise_steps, shown):
     samples = draw(np.random.default_rng(2), noise_mg=noise_steps * 0.5, lsb_mg=0.5, filter_m=0)
