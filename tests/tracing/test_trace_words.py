@@ -219,7 +219,7 @@ def test_the_table_of_errors_has_a_row_a_model_and_no_empty_column() -> None:
     axes = replace(bare, heldout_by_axis={"x": 1.0, "z": 3.0}, unit="°/s")
     head, rows = words.error_rows(result(before=axes))
     assert head[2:] == ["x / (°/s)", "z / (°/s)"]
-    assert rows[0][2:] == ["1.000", "3.000"]
+    assert rows[0][2:] == ["1.00", "3.00"]
 
 
 def test_gains_are_stated_with_what_was_held_out() -> None:
