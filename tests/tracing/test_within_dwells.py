@@ -19,7 +19,14 @@ from adis_gonio.tracing.within.samples import (
     positions_text,
 )
 from adis_gonio.tracing.within.second_pass import counts_as_found, look_within, probability
-from adis_gonio.tracing.within.tones import HIGHEST_HZ, alias_text, aliases_hz, density_of, line_sizes
+from adis_gonio.tracing.within.tones import (
+    HIGHEST_HZ,
+    alias_text,
+    aliases_hz,
+    density_of,
+    line_sizes,
+    strongest_frequency,
+)
 from tracing.dwell_samples import bartlett, draw, kinds, only
 from tracing.stated import EFFECTS, SORTS, finder
 
@@ -304,6 +311,34 @@ def test_dwells_that_are_too_short_say_so() -> None:
     shown = look_within(draw(np.random.default_rng(1), n=4, filter_m=0))[1]
     assert set(shown) >= set(EFFECTS)
     assert all(entry.amplitude is None and entry.reason for entry in shown.values())
+
+
+def test_a_line_that_moves_is_found_below_a_stronger_one_that_stays() -> None:
+    def both(k, time, rng):
+        steady = 6.0 * np.sin(2 * np.pi * 31.0 * time)
+        moving = 3.0 * np.sin(2 * np.pi * (11.0 + 0.01 * time) * time)
+        return np.column_stack([steady + moving, 0 * time])
+
+    samples = draw(np.random.default_rng(1), filter_m=0, added=both)
+    found = look_within(samples)[0]
+    assert [finding.kind for finding in found] == ["tone", "tone"]
+    steady_hz = [one.parameters["frequency"].value for one in found if "frequency" in one.parameters]
+    assert steady_hz == pytest.approx([31.0], abs=0.01)
+    # The frequency at a time t is 11 Hz + 0.02 Hz/s t.
+    moving_hz = strongest_frequency(samples, samples.position)
+    assert moving_hz == pytest.approx([11 + 0.02 * time.mean() for time in samples.time_s], abs=0.1)
+    assert strongest_frequency(draw(np.random.default_rng(1), filter_m=0), samples.position) is None
+
+
+@pytest.mark.parametrize("flicker_mg2", [0.0, 0.3, 3.0])
+def test_the_density_of_noise_follows_white_and_1_over_f_noise(flicker_mg2: float) -> None:
+    samples = draw(np.random.default_rng(2), filter_m=0, noise_mg=1.0, lsb_mg=0.0, flicker_mg2=flicker_mg2)
+    density = density_of(samples)
+    assert density is not None
+    searched = density.searched
+    frequency = density.frequency[searched]
+    found = float(np.median(density.level[:, 0])) * density.base[searched, 0]
+    assert found / (1.0 + flicker_mg2 / frequency) == pytest.approx(np.ones(len(frequency)), abs=0.25)
 
 
 # -- small parts -----------------------------------------------------------------------------------------
