@@ -22,8 +22,11 @@ from adis_gonio.bench.bringup.bringup_step import (
     longest_run,
     variance_ratio,
 )
+from adis_gonio.bench.bringup.link_steps import legal
 from adis_gonio.bench.bringup.part_steps import flicker, spectrum
+from adis_gonio.bench.bringup.update_steps import nearest_code
 from adis_gonio.device.bus import SpiTiming
+from adis_gonio.device.sensor.registers import BY_NAME
 from adis_gonio.sim import SimBus, World
 
 
@@ -160,3 +163,42 @@ def test_the_bus_of_a_bring_up_limits_the_clock_and_keeps_its_calls(asked_hz, gi
     before = len(bus.calls)
     bus.exchange([0x3800, 0])
     assert len(bus.calls) == before + 1
+
+
+# -- contents of registers --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "word", "possible"),
+    [
+        ("ENDURANCE", 0x7FFF, True),
+        ("ENDURANCE", 0x8000, False),
+        ("SMPL_PRD", 0x0001, True),
+        ("SMPL_PRD", 0x0000, False),
+        ("SMPL_PRD", 0x0101, False),
+        ("SENS_AVG", 0x0402, True),
+        ("SENS_AVG", 0x0406, True),
+        ("SENS_AVG", 0x0407, False),  # M is 6 at most
+        ("SENS_AVG", 0x0201, False),  # ±150 °/s has M = 2 at least
+        ("SENS_AVG", 0x0202, True),
+        ("SENS_AVG", 0x0302, False),  # no range
+        ("SENS_AVG", 0x8402, False),
+        ("XACCL_OFF", 0x07FF, True),
+        ("XACCL_OFF", 0x0FFF, True),  # −1, with zeros or its sign above
+        ("XACCL_OFF", 0xFFFF, True),
+        ("XACCL_OFF", 0x1FFF, False),
+        ("XACCL_OFF", 0xF001, False),
+        ("ALM_SMPL1", 0x00FF, True),
+        ("ALM_SMPL1", 0x0100, False),
+    ],
+)
+def test_a_register_holds_only_what_its_bits_allow(name, word, possible):
+    assert legal(BY_NAME[name], word) == possible
+
+
+@pytest.mark.parametrize(
+    ("period_s", "code"),
+    [(1 / 819.2, 0x01), (1.02 / 819.2, 0x01), (1e-9, 0x01), (1e3, 0xFF), (0.018921 * 3, 0x82)],
+)
+def test_a_measured_period_is_named_by_the_nearest_value_of_smpl_prd(period_s, code):
+    assert nearest_code(period_s) == code
