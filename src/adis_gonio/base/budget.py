@@ -113,8 +113,7 @@ def limited_to(seconds: float | None) -> Iterator[None]:
 
 def spent() -> bool:
     """Return True if the current time limit is reached, or if a stage of the work was already omitted."""
-    budget = _current.get()
-    return budget is not None and budget.over
+    return current().over
 
 
 def check() -> None:
