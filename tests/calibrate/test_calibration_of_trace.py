@@ -10,9 +10,14 @@ import pytest
 
 import adis_gonio
 from adis_gonio.base.errors import FitError
+from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.fitting.estimation.terms import Basis, NamedTerm, NamelessTerm
 from adis_gonio.model.effects import effect
+from adis_gonio.record.provenance import provenance_of
+from adis_gonio.tracing.findings import finding_of
+from adis_gonio.tracing.trace import TraceRun
 from adis_gonio.tracing.trace_result import Stopped
+from adis_gonio.tracing.what_if import AskedModel
 from calibrate.sessions import planar_session, plane_axes, read_mg, turn
 
 PSI = np.linspace(-179.0, 179.0, 91)
@@ -27,14 +32,19 @@ def session():
 
 @pytest.fixture(scope="module")
 def traced(session):
-    return adis_gonio.trace(session)
+    """The model that a trace of the session ends with, without the search for it."""
+    run = TraceRun(readings_of(session), 6, (), AskedModel(("bias", "quadratic"), only=True))
+    result = run.traced()
+    found = tuple(finding_of(run.selection, name) for name in ("bias", "quadratic"))
+    return replace(result, found=found, provenance=provenance_of(session))
 
 
 def error_deg(calibration, accel):
     return (np.asarray(calibration.angle(accel).angle_deg - PSI) + 180) % 360 - 180
 
 
-def test_what_the_trace_found_is_corrected_at_angles_that_were_not_measured(session, traced):
+def test_what_the_trace_found_is_corrected_at_angles_that_were_not_measured(session):
+    traced = adis_gonio.trace(session)
     accel = read_mg(turn(PSI), **TRUTH)
     plain = error_deg(adis_gonio.fit(session, method="ml").calibration(), accel)
     calibration = traced.calibration()
