@@ -51,10 +51,15 @@ def test_defaults_are_those_of_the_format(tmp_path):
 def test_rows_without_a_position_are_the_turns_between_the_dwells(tmp_path):
     assert read_samples_csv(write(tmp_path, HEADER, *ROWS)).turns == ()
     between = [f"{time},,,1500,-900" for time in (0.13, 0.16)]
-    (turn,) = read_samples_csv(write(tmp_path, HEADER, *ROWS[:2], *between, *ROWS[2:])).turns
+    session = read_samples_csv(write(tmp_path, HEADER, *ROWS[:2], *between, *ROWS[2:]))
+    (turn,) = session.turns
     assert (turn.before, turn.position) == (0, 1)
     np.testing.assert_array_equal(turn.time_s, [0.13, 0.16])
     np.testing.assert_array_equal(turn.accel, [[1500, -900]] * 2)
+    write_samples_csv(session, tmp_path / "again.csv")
+    (again,) = read_samples_csv(tmp_path / "again.csv").turns
+    np.testing.assert_array_equal(again.time_s, turn.time_s)
+    np.testing.assert_array_equal(again.accel, turn.accel)
 
 
 def test_every_key_and_column_is_read(tmp_path):
@@ -182,6 +187,18 @@ def test_unknown_columns_are_ignored_by_name_and_doubled_ones_refused(tmp_path):
     session = load_session(write(tmp_path, HEADER + ",colour", "0,0,0,1,2,red"))
     assert session.notes == ("columns that were ignored: colour",)
     assert "'ax' occurs twice" in refused(write(tmp_path, HEADER + ",ax", "0,0,0,1,2,3"))
+
+
+def test_of_two_columns_for_one_the_formats_own_name_counts_or_the_user_has_to_say(tmp_path):
+    for header in ("time_ms,time_s,ax,ay,position", "time_s,time_ms,ax,ay,position"):
+        (dwell,) = load_session(write(tmp_path, header, "0.5,0.5,1,2,0", "0.75,0.75,1,2,0")).dwells
+        np.testing.assert_array_equal(dwell.time_s, [0.5, 0.75])
+    doubled = write(tmp_path, "time_ms,t [s],ax,ay,position", "500,0.5,1,2,0", "750,0.75,1,2,0")
+    assert "both 'time_ms' and 't [s]' may be time_s; say which: --columns" in refused(doubled)
+    for name in ("time", "time_s"):  # the header states the unit, whatever the user calls the column
+        for column in ("time_ms", "t [s]"):
+            (dwell,) = load_session(doubled, Overrides(columns={name: column})).dwells
+            np.testing.assert_allclose(dwell.time_s, [0.5, 0.75])
 
 
 def test_files_of_another_kind_are_refused(tmp_path):

@@ -513,7 +513,9 @@ class _Assignment:
             shown = ", ".join(f"'{cell}'" for cell in self.cells)
             raise UsageError(f"columns: {what} '{called}' in {self.path.name}; there are {shown}")
         cell = self.cells[there[0]]
-        unit = known[1] or split_unit(cell)[1]
+        own = recognise_column(cell)
+        stated = own[1] if own is not None and own[0] == known[0] else split_unit(cell)[1]
+        unit = known[1] or stated
         return known[0], CsvColumn(known[0], there[0], cell, unit, plain=name.endswith("_s"))
 
     def _by_name(self, assigned: Mapping[str, CsvColumn]) -> dict[str, CsvColumn]:
