@@ -142,6 +142,22 @@ def test_the_values_are_stated_with_their_temperature():
     assert both.holds_at == "25 °C and 5 V"
 
 
+@pytest.mark.parametrize(
+    ("own", "model"),
+    [
+        (calibration(PLANE), "gains, misalignment and biases in the plane"),
+        (calibration(SPACE), "gains, skews and biases"),
+        (
+            calibration(PLANE, {"bias_temperature": (0.31, 0.4), "supply_bias": (0.3, 0.4)}),
+            "gains, misalignment and biases in the plane; effects: bias_temperature, supply_bias",
+        ),
+    ],
+)
+def test_the_method_names_its_model_and_its_effects(own, model):
+    root = judge(certificate_text(own))
+    assert root.find(f".//{DCC}usedMethod/{DCC}description/{DCC}content").text == model
+
+
 def test_what_nobody_stated_is_not_invented():
     text = certificate_text(calibration(PLANE), date(2026, 5, 4))
     root = judge(text)

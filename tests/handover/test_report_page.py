@@ -29,6 +29,7 @@ from adis_gonio.model.records import Dwell, Session
 from adis_gonio.page.document import Figure, Section, Series, Table, plot
 from adis_gonio.record.loading import Overrides
 from adis_gonio.tracing.trace_figures import views_of
+from adis_gonio.tracing.trace_result import Unnamed
 from adis_gonio.tracing.trace_summary import confounded, headline, how_sure, sight
 from adis_gonio.tracing.traced_answer import answer_with_trace
 
@@ -155,6 +156,18 @@ def test_a_session_without_effects_says_so_in_place_of_their_table(curved):
         (note,) = (note for note in some.notes if note.startswith(f"{finding.effect}: "))
         assert note.endswith(finding.cause)
     assert list(none.notes) == []
+
+
+def test_a_structure_without_a_name_is_told_with_its_form(curved):
+    _, result, _ = curved
+    step = Unnamed(("time",), "x ~ a step at t = 9 s", 0.4, 0.97, 0.001)
+    told, silent = (
+        [text for part in found_section(replace(result, unnamed=one)).parts for text in part.points]
+        for one in (step, None)
+    )
+    assert [
+        text.startswith("x ~ a step at t = 9 s (explains 40") for text in told if text not in silent
+    ] == [True]
 
 
 def test_remaining_residuals_share_a_figure_by_covariate_and_name_their_quantity(curved):
