@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,19 +15,27 @@ from adis_gonio.base.errors import DataError, FitError, UsageError
 from adis_gonio.faces.cli import main
 from adis_gonio.faces.cli.trace_commands import print_trace
 from adis_gonio.fitting.estimation.fit import Fit
+from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.model.effects import effect
 from adis_gonio.model.effects.base import lagged
 from adis_gonio.model.measurement import FreeAttitude, JointMeasurement, PlanarTurn, SessionOrigin
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing import joint_trace
-from adis_gonio.tracing.joint_trace import JointResult, stack, trace_sessions, trace_stacked
+from adis_gonio.tracing.joint_trace import (
+    JointResult,
+    JointRun,
+    owner_of,
+    stack,
+    trace_sessions,
+    trace_stacked,
+)
 from adis_gonio.tracing.linear_problem import Products, amplitudes, linearise, span
 from adis_gonio.tracing.model_search import Climb, Search
 from adis_gonio.tracing.named_candidates import named_terms, sharings, split_effect
 from adis_gonio.tracing.trace import trace_readings
 from recordings import recording
-from tracing.joint_fleets import draw_fleet, draw_part, draw_session, origins
-from tracing.small_problems import names_only
+from tracing.joint_fleets import U_MG, draw_fleet, draw_part, draw_session, origins
+from tracing.small_problems import labelled, names_only
 
 
 @pytest.mark.parametrize("model", [PlanarTurn, FreeAttitude])
@@ -134,6 +143,84 @@ def test_sessions_of_two_kinds_are_refused() -> None:
 
 def names(result: JointResult) -> set[str]:
     return {finding.effect for finding in result.found}
+
+
+def curved(sizes: Sequence[float], parts: int) -> list[Readings]:
+    """Sessions of parts in turn, each with its own curvature of x in mg/g²."""
+    rng = np.random.default_rng(10)
+    made = [draw_part(rng) for _ in range(parts)]
+    return [
+        draw_session(rng, made[k % parts], [(effect("quadratic", ("x",)), [size])])
+        for k, size in enumerate(sizes)
+    ]
+
+
+def of_few_candidates(readings: list[Readings], where: list[SessionOrigin], *names: str) -> JointResult:
+    """The joint trace with these candidates alone, each with all owners."""
+    run = JointRun(stack(readings, where), 4)
+    run.terms = [term for term in run.terms if term.label.split("@")[0] in names]
+    return run.traced()
+
+
+def test_each_cause_has_an_owner_and_each_session_its_share_and_its_errors() -> None:
+    sizes = (3.0, -2.0, 1.0)
+    readings = curved(sizes, 3)
+    result = of_few_candidates(readings, origins(3, 3), "bias[xy]", "quadratic[x]")
+    assert names(result) == {"bias", "quadratic"}
+    assert {cause: max(own, key=own.__getitem__) for cause, own in result.owners.items()} == {
+        "bias": "part", "quadratic": "part",
+    }  # fmt: skip
+    assert [(one.session, one.part, one.stage, one.dwells) for one in result.sessions] == [
+        (f"s{k}", f"part{k}", "stage0", 24) for k in range(3)
+    ]
+    # The curvature of each part improves the likelihood of its own session as if it were alone.
+    for one, data in zip(result.sessions, readings, strict=True):
+        fit = Fit.begin(data).refit()
+        terms = labelled(data, "bias[xy]", "quadratic[x]")
+        zeros = [np.zeros(len(term.amplitudes)) for term in terms]
+        chi2 = [fit.with_terms(terms[:n], zeros[:n]).refit().chi2 for n in (1, 2)]
+        assert one.evidence["quadratic"] == pytest.approx((chi2[0] - chi2[1]) / 2, rel=0.1)
+        assert one.alone["quadratic"] > 0.9
+        # Within a dwell or two of the noise, left out by dwells or as a whole.
+        assert 0.5 * U_MG < one.heldout_after_mg < 2 * U_MG
+        assert 0.5 * U_MG < one.session_after_mg < 2 * U_MG
+        assert min(one.heldout_before_mg, one.session_before_mg) > 10 * U_MG
+    assert any("3 sessions of 3 parts on 1 stage" in note for note in result.notes)
+    assert result.advice == ()
+    with pytest.raises(FitError, match="one session of the part"):
+        result.calibration()
+
+
+def test_a_curvature_of_one_part_is_the_parts_and_predicts_a_session_left_out() -> None:
+    result = of_few_candidates(curved((2.0, 2.0, 2.0), 1), origins(3), "bias[xy]", "quadratic[x]")
+    assert result.owners["quadratic"]["part"] > 0.9
+    assert all(one.session_after_mg < 0.1 * one.session_before_mg for one in result.sessions)
+
+
+@pytest.mark.parametrize(
+    ("label", "owners"),
+    [
+        ("quadratic[x]", ("part", "all parts")),
+        ("quadratic[x]@part", ("part", "part")),
+        ("quadratic[x]@session", ("session", "session")),
+        ("stage_ellipticity", ("stage", "stage")),
+    ],
+)
+def test_a_term_belongs_to_its_groups_or_to_what_its_effect_is_of(label, owners) -> None:
+    data = stack(curved((0.0,) * 4, 2), origins(4, 2))
+    (term,) = labelled(data, label)
+    assert tuple(owner_of(term, several=several) for several in (False, True)) == owners
+
+
+def test_the_candidates_that_are_kept_are_the_best_of_each_effect_and_every_bias(monkeypatch) -> None:
+    data = stack(curved((3.0, -2.0, 1.0), 3), origins(3, 3))
+    terms = named_terms(data)[0]
+    monkeypatch.setattr(joint_trace.limits, "screened", 5)
+    kept = {term.label for term in joint_trace.screen(data, terms, 4)}
+    assert "quadratic[x]@part" in kept
+    assert {term.label for term in terms if term.constant} <= kept
+    assert {term.name for term in terms if term.label in kept} > {"cubic", "asymmetry", "stage_ellipticity"}
+    assert len(kept) < len(terms) / 2
 
 
 def test_sessions_together_find_an_effect_that_none_finds_alone() -> None:
