@@ -19,6 +19,7 @@ from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.calibrate import GyroCalibration
 from adis_gonio.faces.cli import main
+from adis_gonio.fitting.methods import FREE_TURN, METHODS
 from adis_gonio.record.loading import load_session
 from adis_gonio.record.samples_writer import write_samples_csv
 from calibrate.sessions import planar_session, spatial_session
@@ -51,6 +52,10 @@ def calibration(request):
 def test_the_schema_is_one_and_every_file_obeys_it(calibration):
     jsonschema.Draft202012Validator.check_schema(SCHEMA)
     jsonschema.Draft202012Validator(SCHEMA).validate(calibration.as_dict())
+
+
+def test_the_schema_has_every_method_that_makes_a_calibration():
+    assert set(SCHEMA["properties"]["method"]["enum"]) == {*METHODS, FREE_TURN, "trace"}
 
 
 def test_a_file_is_loaded_and_a_session_refused_without_the_trace(tmp_path):
