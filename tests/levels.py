@@ -101,7 +101,6 @@ SLOW = frozenset(
         "faces/cli/test_calibrate_plain.py",
         "faces/cli/test_character_sets.py",
         "faces/cli/test_closing_command.py",
-        "faces/cli/test_export_command.py",
         "faces/cli/test_imports_of_commands.py",
         "faces/cli/test_long_work.py",
         "faces/cli/test_simulate_command.py",

@@ -15,6 +15,7 @@ import pytest
 
 from adis_gonio import Calibration, fit, load_session
 from adis_gonio.faces.cli import main, show
+from adis_gonio.handover.formats import FORMATS
 from adis_gonio.tracing.trace_calibrations import load_calibration
 
 SCHEMA = json.loads(
@@ -67,13 +68,22 @@ def test_a_format_by_name_wins_over_the_ending(recorded, tmp_path):
     assert json.loads((tmp_path / "c.h").read_text())["version"] == 1
 
 
-@pytest.mark.parametrize("kind", ["c-header", "json", "csv", "parquet", "dcc", "registers"])
-def test_standard_output_holds_the_same_bytes_as_a_file(recorded, tmp_path, kind):
-    assert main(["export", str(recorded), "--format", kind, "-o", str(tmp_path / "a")]) == 0
-    call = [sys.executable, "-m", "adis_gonio", "export", str(recorded), "--format", kind, "-o", "-"]
-    done = subprocess.run(call, capture_output=True, check=True, timeout=600)
-    assert done.stdout == (tmp_path / "a").read_bytes()
-    assert done.stderr == b""
+@pytest.mark.parametrize("kind", [one.name for one in FORMATS])
+def test_standard_output_holds_the_same_bytes_as_a_file(recorded, tmp_path, capsysbinary, kind):
+    command = ["export", str(recorded), "--format", kind, "-o"]
+    assert main([*command, str(tmp_path / "a")]) == 0
+    capsysbinary.readouterr()
+    assert main([*command, "-"]) == 0
+    assert tuple(capsysbinary.readouterr()) == ((tmp_path / "a").read_bytes(), b"")
+
+
+def test_a_pipe_gets_the_same_bytes_as_a_file(recorded, tmp_path):
+    command = ["export", str(recorded), "--format", "parquet", "-o"]
+    assert main([*command, str(tmp_path / "a")]) == 0
+    done = subprocess.run(
+        [sys.executable, "-m", "adis_gonio", *command, "-"], capture_output=True, check=True, timeout=600
+    )
+    assert (done.stdout, done.stderr) == ((tmp_path / "a").read_bytes(), b"")
 
 
 def test_json_is_a_calibration_file_with_fit_and_session(recorded, tmp_path):
