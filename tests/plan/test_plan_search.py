@@ -2,6 +2,8 @@
 
 import itertools
 import math
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from adis_gonio.plan.optimal_plan import (
     headline,
     interleaved_plan,
     positions_in,
+    prediction_lines,
     search,
 )
 from adis_gonio.plan.prediction import (
@@ -142,7 +145,7 @@ def test_without_shared_noise_even_spacing_cannot_be_beaten(best, start_deg):
 
 def test_the_same_seed_gives_the_same_plan_and_it_beats_even_spacing_and_tumble():
     one, again = (best_plan(Bench(0.02), 12, seed=4) for _ in range(2))
-    assert one.plan == again.plan
+    assert one == again
     assert {gain.name for gain in one.gains} == {"even", "tumble"}
     assert all(gain.criterion > 1.0 for gain in one.gains)
     reach, even = one.prediction.reach, predict_uncertainty(even_plan(12), Bench(0.02))
@@ -194,6 +197,27 @@ def test_an_angle_that_a_plan_does_not_determine_has_no_ratio():
 def test_the_headline_has_the_time_of_the_session_in_minutes():
     bench = Bench(0.02, settings=Settings(dwell_s=589.5))  # 600 s each
     assert headline(predict(plan("four-position"), bench)).startswith("4 positions, 40 min: angle u 0.01")
+
+
+def test_the_text_of_a_prediction_has_its_positions_effects_notes_and_decision():
+    bench = Bench(0.02)
+    made = predict(plan("mmpm"), bench)
+    noted = replace(made, reach=replace(made.reach, notes=("Two words.", "And two more.")))
+    text = "\n".join(prediction_lines(noted))
+    assert text.splitlines()[0] == headline(made)
+    parts = ("Predicted", "Shows effects", "Cannot show", "Cannot tell apart", "Positions, in this order")
+    pieces = re.split("|".join(parts), text)
+    for name, one in made.sight.detectable.items():
+        shown, hidden = (re.search(rf"\b{name}\b", pieces[k]) is not None for k in (2, 3))
+        assert (shown, hidden) == (one.amplitude is not None, one.amplitude is None), name
+    assert all(name in pieces[4] for name in made.sight.confounded[0].effects)
+    assert pieces[5].count("°") == len(made.plan)
+    assert text.endswith("Two words.\nAnd two more.")
+    u_deg = made.reach.angle_worst.u
+    for factor, decides in ((10.0, True), (1.0, False)):
+        tolerance = Tolerance(factor * u_deg)
+        second = "\n".join(prediction_lines(made, tolerance=tolerance)).splitlines()[1]
+        assert second.startswith("decides") is decides
 
 
 def test_cells_run_down_the_columns_of_a_line_of_eighty_characters():

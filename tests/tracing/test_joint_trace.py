@@ -197,6 +197,16 @@ def test_a_curvature_of_one_part_is_the_parts_and_predicts_a_session_left_out() 
     assert all(one.session_after_mg < 0.1 * one.session_before_mg for one in result.sessions)
 
 
+def test_a_session_left_out_is_predicted_by_all_others_and_by_no_other_sessions_alone() -> None:
+    data = stack(curved((2.0, 2.0, 50.0), 1), origins(3))
+    terms = labelled(data, "bias[xy]", "quadratic[x]")
+    fit = Fit.begin(data).refit().with_terms(terms, [np.zeros(2), np.zeros(1)]).refit()
+    left = joint_trace.left_out_sessions(fit)
+    sizes = np.sqrt((left**2).sum(axis=1).reshape(3, -1).mean(axis=1))
+    # The others have a mean curvature of 26, 26 and 2 mg/g²: they miss 24, 24 and 48.
+    assert sizes / sizes[0] == pytest.approx([1, 1, 2], rel=0.1)
+
+
 @pytest.mark.parametrize(
     ("label", "owners"),
     [
