@@ -243,6 +243,45 @@ def test_odds_are_written_with_the_larger_number_on_its_side(log_odds: float, te
     assert words.odds(log_odds) == text
 
 
+def test_a_what_if_names_its_question_and_compares_each_model_with_the_best() -> None:
+    def model(log_evidence: float, *terms: str) -> Any:
+        return SimpleNamespace(terms=terms, error=AFTER, log_evidence=log_evidence)
+
+    def question(*include: str, exclude: tuple[str, ...] = (), only: bool = False) -> str:
+        request = SimpleNamespace(include=include, exclude=exclude, only=only)
+        return words.asked(SimpleNamespace(request=request))
+
+    assert question("cubic:x", exclude=("bias",)).endswith("with cubic:x, without bias")
+    assert question("cubic:x", "bias", only=True).endswith("only cubic:x and bias")
+    assert question(only=True).endswith("the base model only")
+    models = {
+        "before": SimpleNamespace(terms=(), error=BEFORE, log_evidence=-20.0),
+        "best": model(10.0, "bias", "quadratic"),
+        "asked": model(10.0 - 3.2189, "bias"),
+    }
+    head, rows = words.compared(SimpleNamespace(**models))
+    assert len(head) == len(rows[0]) == 5
+    assert [row[0] for row in rows] == ["base: no effect", "best: bias + quadratic", "asked: bias"]
+    assert [row[1] for row in rows] == ["10.0", "0.500", "0.500"]
+    assert [row[-1] for row in rows] == ["1 : 10¹³", "1.0 : 1", "1 : 25"]
+    terms = [
+        SimpleNamespace(effect="cubic", parameters={"k3_x": Value(1.0, 0.1, "mg")}, differs_from_zero=sure)
+        for sure in (True, False)
+    ]
+    sure, unsure = words.forced(SimpleNamespace(forced=terms))
+    assert sure.startswith("cubic: k3_x = ")
+    assert "zero" in unsure
+    assert "zero" not in sure
+
+
+def test_an_unnamed_part_has_its_form_its_share_and_its_probability() -> None:
+    assert words.unnamed(result()) == ""
+    rest = SimpleNamespace(form="f(time)", explains=0.42, probability=0.93, p_value=1e-7)
+    text = words.unnamed(result(unnamed=rest))
+    assert text.startswith("f(time)")
+    assert ["42" in text, "93" in text] == [True, True]
+
+
 def test_parameters_are_grouped_by_axis_if_there_are_many() -> None:
     values = {f"{stem}_{axis}": Value(1.0, 0.1, "mg") for axis in "xy" for stem in ("a", "b")}
     many = replace(finding("bias", "xy"), parameters=values)
