@@ -278,3 +278,27 @@ def test_a_line_that_is_in_use_is_not_dropped_by_a_reset(frame, name):
     assert found.row("flash count").verdict is Verdict.NOT_MEASURED
     assert f"{name} is in use" in found.row("flash count").text
     assert bus.chip.memory["ENDURANCE"] == 0
+
+
+# -- the rate of updates ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("rate_error", "verdict", "said"),
+    [
+        (0.0, Verdict.OK, "819.2"),
+        (0.01, Verdict.DIFFERS, " +1.00 % from the nominal rate"),
+        (-0.04, Verdict.DIFFERS, " −3.99 % from the nominal rate"),
+        (-0.5, Verdict.FAULT, "that would be SMPL_PRD = 0x03"),
+    ],
+)
+def test_a_rate_is_the_nominal_one_an_error_of_the_clock_or_another_setting(rate_error, verdict, said):
+    bus = Board(rate_error=rate_error).open(1)
+    row = bring_up(bus, steps=only("link", "sample rate")).row("sample rate")
+    assert row.verdict is verdict
+    assert said in row.text
+    rate, period = row.figures
+    assert rate.value == pytest.approx(819.2 * (1 + rate_error), rel=1e-3)
+    assert period.value * rate.value == pytest.approx(1e6)
+    # A computer's clock is known to 100 ppm / √3; the reads add a little in two seconds.
+    assert 5e-5 < rate.u / rate.value < 1e-4
