@@ -11,6 +11,7 @@ from scipy import stats
 from adis_gonio.bench.bringup.bringup_step import (
     QUESTIONS,
     Bringup,
+    BringupBench,
     BringupBus,
     BringupStep,
     Measured,
@@ -26,8 +27,9 @@ from adis_gonio.bench.bringup.link_steps import legal
 from adis_gonio.bench.bringup.part_steps import flicker, spectrum
 from adis_gonio.bench.bringup.update_steps import nearest_code
 from adis_gonio.device.bus import SpiTiming
+from adis_gonio.device.sensor import Adis16354
 from adis_gonio.device.sensor.registers import BY_NAME
-from adis_gonio.sim import SimBus, World
+from adis_gonio.sim import SimBus, SimulatedChip, World
 
 
 @pytest.mark.parametrize(
@@ -202,3 +204,45 @@ def test_a_register_holds_only_what_its_bits_allow(name, word, possible):
 )
 def test_a_measured_period_is_named_by_the_nearest_value_of_smpl_prd(period_s, code):
     assert nearest_code(period_s) == code
+
+
+# -- reading ----------------------------------------------------------------------------------------------
+
+
+def bench(ceiling_hz: float = 2e6, **flash: int) -> BringupBench:
+    """Return a bench with a simulated sensor that has these words in its flash."""
+    world = World(seed=1)
+    inner = SimBus(world, chip=SimulatedChip(world, start_s=-0.5, flash=flash))
+    bus = BringupBus(inner, ceiling_hz)
+    return BringupBench(bus, Adis16354(bus))
+
+
+@pytest.mark.parametrize(("unbroken", "count"), [(None, 50), (32, 31), (200, 50)])
+def test_repeated_reads_give_as_many_words_as_the_bridge_sends_without_a_pause(unbroken, count):
+    made = bench(XACCL_OFF=57)
+    made.bus.unbroken_frames = unbroken
+    words, frame_s = made.repeated("XACCL_OFF", 50)
+    assert words.tolist() == [57] * count
+    assert frame_s == pytest.approx(made.bus.timing.frame_s)
+
+
+def test_scans_that_skip_updates_have_no_spectrum_but_means():
+    names = ["XACCL_OUT", "YACCL_OUT", "ZACCL_OUT"]
+    fast, slow = bench(), bench(ceiling_hz=31.25e3)
+    for made in (fast, slow):
+        made.refresh()
+        assert len(made.scans(64, names)) == 64
+        assert made.means(64, names) == pytest.approx(fast.means(64, names), abs=20)
+    assert len(fast.scans(64, names, gaps=False)) >= 32
+    with pytest.raises(NotMeasuredError, match="gaps"):
+        slow.scans(64, names, gaps=False)
+
+
+@pytest.mark.parametrize("word", [0x01, 0x03])
+def test_a_step_that_may_write_sets_the_fastest_rate_if_it_is_another(word):
+    made = bench(SMPL_PRD=word)
+    before = len(made.bus.calls)
+    made.sample_quickly()
+    assert made.bus.inner.chip.memory["SMPL_PRD"] == 0x01
+    frames = [frame for call in made.bus.calls[before:] if call.frames is not None for frame in call.frames]
+    assert any(frame & 0x8000 for frame in frames) == (word != 0x01)

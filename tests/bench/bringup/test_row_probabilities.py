@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -74,6 +75,23 @@ def test_odds_are_shown_in_favour_of_or_against_the_table_and_contradictions_com
     assert rows[1][-2].endswith(":1")
     assert lines[-1] == "not exercised: x"
     assert findings_text([for_it]).splitlines()[-1] == "not exercised: none"
+
+
+@pytest.mark.parametrize(
+    ("evidence", "odds"),
+    [(0.0, "1:1"), (3.5, "3162:1"), (5.2, "1e5:1"), (-2.0, "1:100"), (200.0, "1e99:1")],
+)
+def test_odds_beyond_ten_thousand_are_powers_of_ten(evidence, odds):
+    finding = replace(row("a", "b").judge(["a"]), log10_evidence=evidence)
+    assert findings_text([finding]).splitlines()[1].split()[-2] == odds
+
+
+def test_evidence_against_the_table_does_not_confirm_it_however_sure_the_table_is():
+    sure, figure = row("one", "two", confidence="A"), {"one": (1.0, 1.0), "two": (1.02, 1.02)}
+    against = sure.judge([RowFigure(1.02, 0.01, figure)])
+    assert (against.outcome, against.log10_evidence < 0) == (Outcome.OPEN, True)
+    assert against.probabilities["one"] > 0.99
+    assert sure.judge([RowFigure(1.0, 0.01, figure)]).outcome is Outcome.CONFIRMS
 
 
 # -- observations -----------------------------------------------------------------------------------------
@@ -190,6 +208,22 @@ def test_the_history_has_the_waits_for_commands_and_forgets_what_they_change(rec
     chip = history()
     assert [ready for _, ready in chip.waits["reset"]][-1] is True
     assert chip.waits["reset"][-1][0] >= 0.15
+
+
+@pytest.mark.parametrize(("rises", "count"), [(False, 1), (True, 0), (None, 0)])
+def test_scans_of_one_register_show_the_edge_that_starts_them(recorded, rises, count):
+    sensor, _ = recorded
+    bus = sensor.bus
+    bus.exchange([0xB404])  # data-ready, active low
+    with bus.stream([0x0A00] * 8, block_scans=16) as stream:
+        next(stream)
+    chip = RecordedChip(bus.calls, rises)
+    assert [words.shape for words in chip.edges] == [(15, 8)] * count
+    with bus.stream([0x0A00, 0x0C00, 0x0E00, 0x1000], block_scans=16) as stream:
+        next(stream)
+    chip = RecordedChip(bus.calls, rises)
+    assert len(chip.edges) == count
+    assert len(chip.spans[-1].outputs["ZACCL_OUT"][0][0]) == 16
 
 
 def test_rests_have_the_means_of_the_readings_between_two_changes(recorded):
