@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 from adis_gonio import open_bus, open_sensor
 from adis_gonio.base.errors import (
     AdisGonioError,
+    BusError,
     ChipError,
     SilentChipError,
     StatusError,
@@ -256,6 +257,34 @@ def test_the_gyro_scale_follows_the_range():
         for dps in (300, 150, 75):
             sensor.configure(gyro_range_dps=dps, filter_m=6)
             assert sensor.read_scans(200).gyro_dps.mean() == pytest.approx(10.0, abs=2.0)
+
+
+def test_registers_are_set_back_and_those_that_cannot_be_are_named():
+    sensor, bus = recorded()
+    rows = [BY_NAME[name] for name in ("XACCL_OFF", "ALM_MAG1", "SENS_AVG")]
+    undo = Undo(sensor, rows)
+    given = Undo(sensor, rows[:1], {"XACCL_OFF": 0xF005, "SENS_AVG": 0})
+    sensor.write("XACCL_OFF", 12)
+    sensor.configure(gyro_range_dps=75, filter_m=5)
+    exchange, tries = bus.exchange_array, []
+
+    def fail(frames):
+        tries.append(frames)
+        raise BusError("the line is dead")
+
+    bus.exchange_array = fail
+    undo.put_back()
+    assert undo.unrestored == ("XACCL_OFF", "ALM_MAG1", "SENS_AVG")
+    assert len(tries) > 1, "it is tried again"
+    bus.exchange_array = exchange
+    undo.put_back()
+    assert undo.unrestored == ()
+    assert [sensor.read(name) for name in ("XACCL_OFF", "SENS_AVG")] == [0, 0x0402]
+    assert sensor.configuration().gyro_range_dps == 300
+    addresses = {frame >> 8 & 0x3E for frame in bus.writes}
+    assert BY_NAME["ALM_MAG1"].address not in addresses, "it has not changed"
+    given.put_back()
+    assert sensor.read("XACCL_OFF") == 5, "as far as the register can be written"
 
 
 def test_ctrl_c_while_registers_are_set_back_is_raised_when_they_are():
