@@ -110,6 +110,8 @@ def test_the_reason_says_what_decided() -> None:
     )
     blind = chosen([result("paper", bias=False), result("two-position", bias=False)])
     assert blind.why.startswith("no method sees the biases in these positions, which are taken as zero; ")
+    unsure = chosen([result("mmpm", None), result("ml", None)])
+    assert unsure.why.endswith("none is shown to predict them better")
     nothing = {name: DwellPrediction(np.ones(3), np.full((3, 2), np.nan)) for name in ("mmpm", "ml")}
     told = recommend([result("mmpm"), result("ml")], nothing, scores_of(nothing), "ml")
     assert told.why == (

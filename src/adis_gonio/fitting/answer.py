@@ -213,7 +213,7 @@ def _mean_u(result: FitResult) -> float:
     us = [result[name].u for name in wanted]
     if any(u is None or not math.isfinite(u) for u in us):
         return math.inf
-    return math.exp(sum(math.log(max(u or 0.0, 1e-300)) for u in us) / max(len(us), 1))
+    return math.exp(sum(math.log(max(u or 0.0, 1e-300)) for u in us) / len(us))
 
 
 MOST_FOLDS = 40
