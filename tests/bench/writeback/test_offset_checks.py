@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -22,6 +23,7 @@ from adis_gonio.device.sensor import open_sensor
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.record.source import LEAST_SAMPLES
 from adis_gonio.record.stillness import window_samples
+from handover.gyros import ZERO, gyros as calibrated
 
 SESSION = Session(())
 
@@ -201,23 +203,29 @@ NULLED = {"XGYRO_OFF": -5, "YGYRO_OFF": -10, "ZGYRO_OFF": -15}
 
 
 @pytest.mark.parametrize(
-    ("needs", "wander"),
-    [
-        ((), math.hypot(FLOOR, WARMER, VOLTS)),
-        (("temperature_c",), math.hypot(FLOOR, VOLTS)),
-        (("supply_v",), math.hypot(FLOOR, WARMER)),
-        (("temperature_c", "supply_v"), FLOOR),
-    ],
+    ("needs", "wander"), [((), math.hypot(FLOOR, VOLTS)), (("temperature_c", "supply_v"), FLOOR)]
 )
-def test_a_zero_rate_wanders_by_the_conditions_that_its_calibration_does_not_know(needs, wander):
+def test_a_zero_rate_wanders_by_the_supply_if_its_calibration_does_not_know_it(needs, wander):
     assert gyros(*needs).wander_since(WARM) == pytest.approx(wander)
+
+
+def test_another_temperature_than_the_session_s_counts_once_in_the_u_of_a_zero_rate():
+    made = Gyros(SESSION)
+    made.gyro = replace(calibrated(ZERO), supply_v=None)
+    mean_c = made.gyro.temperature_c.mean
+    still, warm = (
+        replace(WARM, temperature_c=t, temperatures_c=np.full(3, t)) for t in (mean_c, mean_c + 10)
+    )
+    here, there = (made.expected(plan("dps", 0.02, x=0, y=0, z=0), one) for one in (still, warm))
+    assert there.expected == pytest.approx(here.expected)
+    assert there.u == pytest.approx(np.hypot(here.u, WARMER))
 
 
 def test_zero_rates_at_rest_are_those_of_the_session_moved_by_the_offsets_now():
     found = gyros().expected(plan("dps", 0.02, x=0, y=0, z=0), WARM)
     assert found.expected == pytest.approx([0.06, 0.16, 0.26])
     assert found.measured == pytest.approx([0.1, 0.2, 0.3])
-    assert found.u == pytest.approx([math.hypot(0.01, 0.01, FLOOR, WARMER, VOLTS)] * 3)
+    assert found.u == pytest.approx([math.hypot(0.01, 0.01, FLOOR, VOLTS)] * 3)
 
 
 def test_an_autonull_is_compared_with_the_session_by_its_noise_and_its_step():
@@ -226,7 +234,7 @@ def test_an_autonull_is_compared_with_the_session_by_its_noise_and_its_step():
     assert found.measured == pytest.approx([0.1, 0.2, 0.3])
     # The dwell has 1000 samples: the mean of 250 has twice its noise.
     step = 0.02 / math.sqrt(12)
-    assert found.u == pytest.approx([math.hypot(0.02, step, 0.01, FLOOR, WARMER, VOLTS)] * 3)
+    assert found.u == pytest.approx([math.hypot(0.02, step, 0.01, FLOOR, VOLTS)] * 3)
     assert "(+0.000, +0.000, −0.050 °/s of it by force)" in found.what
     wrong = {name: -number for name, number in NULLED.items()}
     assert (

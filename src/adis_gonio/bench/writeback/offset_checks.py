@@ -465,12 +465,8 @@ class Gyros:
     def wander_since(self, rest: Rest) -> float:
         """Return the standard uncertainty in °/s by which a zero rate may have changed since the session.
 
-        It comes from drift in time up to the dwell `rest`, and from the different temperature and supply of
-        the dwell if the calibration does not include their effect.
+        It comes from drift in time up to the dwell `rest`, and from the different supply of the dwell if
+        the calibration does not include its effect. The effect of another temperature is in u of `zero`.
         """
-        known, then = self.gyro.needs, (self.gyro.temperature_c, self.gyro.supply_v)
-        warmer = 0.0 if then[0] is None else rest.temperature_c - then[0].mean
-        volts = 0.0 if then[1] is None else rest.supply_v - then[1].mean
-        return self.wander(
-            0.0 if "temperature_c" in known else warmer, 0.0 if "supply_v" in known else volts
-        )
+        then = None if "supply_v" in self.gyro.needs else self.gyro.supply_v
+        return self.wander(0.0, 0.0 if then is None else rest.supply_v - then.mean)
