@@ -779,6 +779,7 @@ def main() -> None:
         import cosmic_ray.mutating  # noqa: F401
     except ImportError:
         raise SystemExit("cosmic-ray is not installed: pip install cosmic-ray") from None
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's `&` and nohup ignore it
     session = options.session.resolve() if options.session else None
     names = list(ROOMS) if options.room == "all" else [options.room]
     tables, survivors = [], []
