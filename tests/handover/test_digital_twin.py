@@ -11,7 +11,8 @@ from adis_gonio.faces.cli import main
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import in_mg, readings_of
 from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm
-from adis_gonio.handover.digital_twin import LikeWorld, compare, noise_of, simulate_like
+from adis_gonio.handover.digital_twin import LikeWorld, compare, noise_of, period_of, simulate_like
+from adis_gonio.model.records import Dwell
 from adis_gonio.tracing.named_candidates import named_terms
 from recordings import recording
 
@@ -158,6 +159,24 @@ def test_simulate_like_writes_the_twin_as_a_samples_csv(capsys, short, tmp_path)
     assert len(load_session(out).dwells) == 9
     assert main(["simulate", "--like", str(short), "-o", str(tmp_path / "twin.session")]) == 2
     assert "name it .csv" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("times", "period_s"),
+    [
+        ([[0.0, 0.25, 0.5], [7.0, 7.25]], 0.25),
+        ([[0.0, 0.0, 0.01, 0.01, 0.02], [3.0]], 0.005),  # a coarse clock, and a dwell of one sample
+        ([[1.0, 1.0, 1.0], [2.0, 2.0]], None),
+        ([[1.0], [2.0]], None),
+    ],
+)
+def test_the_period_of_the_samples_follows_from_the_lengths_of_the_dwells(times, period_s):
+    dwells = [Dwell(k, np.array(time_s), np.ones((len(time_s), 2))) for k, time_s in enumerate(times)]
+    if period_s is None:
+        with pytest.raises(DataError, match="a twin needs sample times"):
+            period_of(dwells)
+    else:
+        assert period_of(dwells) == pytest.approx(period_s)
 
 
 def test_readings_that_somebody_averaged_have_no_noise_to_copy(session, final):

@@ -310,6 +310,43 @@ def test_the_page_says_who_measured_which_part_where_and_what_was_overridden():
     assert [texts.count(text) for text in ("0042", "T2", "Ada <b>")] == [1, 1, 1]
 
 
+def test_the_facts_of_a_session_are_stated_with_their_units():
+    def dwell(k, count, **more):
+        return Dwell(k, 60.0 * k + 0.01 * np.arange(count), np.ones((count, 2)), angle_deg=90.0 * k, **more)
+
+    measured = {"temperature_c": np.array([21.5, 23.25]), "supply_v": np.array([5.0, np.nan])}
+    configuration = {"filter_m": 4, "sample_rate_hz": 819.2}
+    session = Session(
+        (dwell(0, 2, **measured), dwell(1, 11)),
+        accel_unit="mg",
+        gravity_mps2=9.81,
+        fixture_sigma_deg=0.02,
+        facts={"configuration": configuration, "simulated": True, "url": "sim:", "note": "lamp on"},
+    )
+    stated = {
+        "sensor": "adis16354 (simulated)", "bus": "sim:", "note": "lamp on", "begun (UTC)": "",
+        "samples": "13, 2 to 11 a dwell", "duration": "1.0 min", "sample rate": "819.2 Hz",
+        "filter": "2^4 taps, twice", "plane of rotation": "xy", "local gravity": "9.81000 m/s²",
+        "standard uncertainty of a declared angle": "0.02°", "unit of the accelerations": "mg",
+        "temperature": "21.50 to 23.25 °C", "supply": "5.00 V",
+        "reference temperature of the parameters": "22.4 °C",
+    }  # fmt: skip
+    found = facts(session, 22.36)
+    assert {name: found[name].replace("\xa0", " ") for name in stated} == stated
+    plain = replace(
+        session, plane="none", fixture_sigma_deg=None, facts={}, dwells=(dwell(0, 3), dwell(1, 3))
+    )
+    others = {
+        "plane of rotation": "none: attitudes in space", "filter": "", "sample rate": "",
+        "samples": "6, 3 a dwell", "standard uncertainty of a declared angle": "not stated",
+        "temperature": "not recorded", "reference temperature of the parameters": "",
+    }  # fmt: skip
+    found = facts(plain)
+    assert {name: found[name] for name in others} == others
+    free = facts(replace(session, fixture_sigma_deg=math.inf))
+    assert free["standard uncertainty of a declared angle"] == "free: declared angles are not used"
+
+
 def test_the_answer_stands_first_in_large_numerals_with_what_covers_it(page, curved):
     session, result, _ = curved
     values = answer_with_trace(fit(session, "ml"), result, own=False).values

@@ -52,6 +52,14 @@ def test_tumble_comes_back_through_the_same_angles_from_the_other_side():
     assert [position.approach for position in made.positions] == [1] * 6 + [-1] * 6
 
 
+@pytest.mark.parametrize(("name", "usual", "least"), [("mmpm", 9, 9), ("tumble", 24, 3), ("poses", 14, 9)])
+def test_each_plan_has_a_usual_and_a_smallest_number_of_positions(name, usual, least):
+    assert len(plan(name)) == usual
+    assert len(plan(name, least)) >= least
+    with pytest.raises(UsageError, match=f"{least}"):
+        plan(name, least - 1)
+
+
 def test_poses_have_no_angle_and_no_plane():
     made = plan("poses", 20)
     assert len(made) == 20

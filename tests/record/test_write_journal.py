@@ -121,6 +121,26 @@ def test_journal_registers_and_endurance_determine_the_state(
     assert says in state.text
 
 
+@pytest.mark.parametrize(
+    ("now", "registers", "each"),
+    [
+        ((9, 8), "new", ("new", "new")),
+        ((5, 0), "old", ("old", "old")),
+        ((9, 0), "half", ("new", "old")),
+        ((5, 8), "half", ("old", "new")),
+        ((9, 1), "other", ("new", "other")),
+    ],
+)
+def test_each_register_has_a_state_and_all_together_one(now, registers, each):
+    written = {"number": 1, "op": "write", "step": "planned", "save": False}
+    names = ("XACCL_OFF", "YACCL_OFF")
+    old, new, now = (dict(zip(names, numbers, strict=True)) for numbers in ((5, 0), (9, 8), now))
+    state = held_offsets(operations([written | {"old": old, "new": new, "found": old}]), now, 10)
+    assert (state.registers, tuple(state.axes.values())) == (registers, each)
+    told = [f"{name} {one}" for name, one in zip(names, each, strict=True)]
+    assert all(text in state.text for text in told) is (registers in ("half", "other"))
+
+
 def test_a_save_of_the_gyros_also_saves_the_accelerometers():
     (own,) = in_journal(("write", UNSAVED, 5, 9))
     for beside, saved in ({"XACCL_OFF": 9}, True), ({"XACCL_OFF": 5}, False), ({}, None):
