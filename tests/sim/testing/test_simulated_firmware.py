@@ -11,7 +11,7 @@ from cobs import cobs
 
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
-from adis_gonio.sim.testing.pins import ChipPins, VirtualClock
+from adis_gonio.sim.testing.pins import ChipPins, VirtualClock, WorkClock
 
 NO_SESSION, UNKNOWN, LENGTH, BUSY, FRAME, WRITES, VALUE, REUSED, VERSION = range(1, 10)
 HELLO, CONFIGURE, EXCHANGE, STREAM, STOP, RESET, STATISTICS = range(1, 8)
@@ -94,6 +94,7 @@ def test_a_request_without_a_session_and_another_version_are_refused():
 @pytest.mark.parametrize(
     ("kind", "body", "code", "detail"),
     [
+        (0, b"", UNKNOWN, 0),
         (9, b"", UNKNOWN, 0),
         (CONFIGURE, b"", LENGTH, 0),
         (CONFIGURE, struct.pack("<IHH", 124_999, 75, 160), VALUE, 0),
@@ -121,6 +122,19 @@ def test_a_request_without_a_session_and_another_version_are_refused():
 )
 def test_a_request_that_cannot_be_is_refused_with_its_code_and_detail(host, kind, body, code, detail):
     assert host.refused(kind, body) == (code, detail)
+
+
+@pytest.mark.parametrize(
+    ("kind", "body"),
+    [
+        (EXCHANGE, b"\0" + 100 * struct.pack("<H", 0x3800)),
+        (STREAM, struct.pack("<BBHI32H", 1, 1, 1, 0, *[0x0A00] * 32)),
+        (STREAM, struct.pack("<BBHIH", 0, 115, 1, 0, 0x0A00)),
+        (RESET, struct.pack("<H", 10)),
+    ],
+)
+def test_a_request_at_its_limit_is_executed(host, kind, body):
+    host.asked(kind, body)
 
 
 def test_a_clock_that_is_not_offered_becomes_the_next_slower_one(host):
@@ -213,6 +227,33 @@ def test_a_stream_sends_scans_of_consecutive_updates_with_their_times_and_totals
     assert struct.unpack("<II", host.asked(STOP)) == (sent, 0), "the last totals come again"
 
 
+@pytest.mark.parametrize("falling", [0, 1])
+def test_a_scan_starts_at_the_edge_that_was_asked_for(host, falling):
+    host.asked(CONFIGURE, struct.pack("<IHH", 1_000_000, 9, 40))
+    host.asked(EXCHANGE, struct.pack("<BHH", 1, 0xB404, 0))  # data-ready is low for 50 µs after an update
+    (begin_us,) = struct.unpack("<I", host.asked(STREAM, struct.pack("<BBHIH", falling, 1, 1, 0, 0x0A00)))
+    assert begin_us == pytest.approx(1e6 * host.clock.now_s(), abs=1000)
+    update_s = host.chip.next_update_s(host.clock.now_s())
+    trigger_s = host.firmware.next_event_s()
+    assert trigger_s - update_s == pytest.approx(0.0 if falling else 50e-6, abs=1e-9)
+    host.firmware.run(trigger_s)
+    ((_, _, body),) = host.received()
+    assert struct.unpack_from("<IHII", body)[2] == pytest.approx(1e6 * trigger_s, abs=1)
+    # Two frames of 40 and 16 µs begin some µs after the edge; 25 bytes follow at 500 000 baud.
+    assert host.clock.now_s() - trigger_s == pytest.approx(60e-6 + 25 * 20e-6, abs=20e-6)
+
+
+def test_a_line_that_is_too_slow_for_the_scans_loses_triggers_and_counts_them():
+    host = Host(baud=20_000)
+    host.asked(HELLO, hello())
+    host.asked(EXCHANGE, struct.pack("<BHH", 1, 0xB404, 0))
+    host.asked(STREAM, struct.pack("<BBHIH", 1, 1, 1, 0, 0x0A00))  # 25 bytes take 12.5 ms, an update 1.2 ms
+    host.firmware.run(host.clock.now_s() + 0.2)
+    assert len(host.received()) == pytest.approx(0.2 / 12.5e-3, abs=2)
+    sent, lost = struct.unpack("<II", host.send(STOP)[-1][2])
+    assert sent + lost == pytest.approx(0.2 * 819.2, abs=8)  # it began before its reply had come
+
+
 def test_a_list_that_takes_longer_than_an_update_loses_every_other_trigger(host):
     host.asked(EXCHANGE, struct.pack("<BHH", 1, 0xB404, 0))
     host.asked(STREAM, struct.pack("<BBHI10H", 1, 4, 1, 0, *[0x0A00] * 10))  # 11 frames of 160 µs
@@ -238,12 +279,24 @@ def test_the_board_is_silent_until_it_has_started():
 def test_a_transfer_takes_its_time_and_follows_the_one_before():
     clock = VirtualClock(1.0)
     pins = ChipPins(SimulatedChip(World(seed=1)), clock)
-    pins.transfer(b"\x38\x00", clock_hz=250e3, cs_hold_s=1e-6)
-    assert clock.now_s() == pytest.approx(1.0 + 64e-6 + 1e-6)
-    reply = pins.transfer(b"\0\0", clock_hz=250e3, start_s=clock.now_s() + 100e-6)
+    pins.transfer(b"\x38\x00", clock_hz=250e3, cs_hold_s=1e-3)
+    assert clock.now_s() - 1.0 == pytest.approx(1.064e-3)
+    reply = pins.transfer(b"\0\0", clock_hz=250e3, start_s=clock.now_s() + 1e-3)
     assert reply == b"\x04\x02"
-    assert clock.now_s() == pytest.approx(1.0 + 229e-6)
-    assert pins.transfers == 2
+    assert clock.now_s() - 1.0 == pytest.approx(2.128e-3)
+    pins.transfer(b"\0\0", clock_hz=250e3, start_s=1.0)
+    assert clock.now_s() - 1.0 == pytest.approx(2.192e-3), "not before the transfer before has ended"
+    assert pins.transfers == 3
+
+
+def test_a_clock_of_work_runs_ahead_of_the_wall_and_never_back():
+    clock = WorkClock()
+    assert clock.now_s() < 5.0
+    clock.advance_to(1000.0)
+    clock.advance_to(5.0)
+    assert clock.now_s() == 1000.0
+    assert clock.wall_s() < 100.0
+    clock.sleep_s(-1.0)
 
 
 @pytest.mark.parametrize(
