@@ -415,3 +415,11 @@ class TestSamples:
         one = effect("tone")
         with pytest.raises(UsageError, match="tone"):
             one.derivative(one.defaults(), np.zeros((4000, 2)), self.conditions)
+
+
+@pytest.mark.parametrize(("name", "count"), [("stage_eccentricity", 2), ("stage_ellipticity", 4)])
+def test_angles_that_show_one_phase_of_the_cycles_show_nothing_of_the_other(name, count):
+    angle_rad = np.arange(count) * 2 * np.pi / count
+    sine, cosine = effect(name).basis(Conditions(np.zeros(count), angle_rad=angle_rad))
+    assert not sine.any()
+    assert np.abs(cosine) == pytest.approx(np.ones(count))

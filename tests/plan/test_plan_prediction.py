@@ -87,6 +87,16 @@ def test_a_wait_delays_its_position_and_all_later_ones():
     assert expected_readings(waits, bench).conditions.time_s.tolist() == [5.0, each + 5, 2 * each + 35]
 
 
+def test_a_bench_states_the_rate_and_the_time_of_its_sessions():
+    settings = Settings(dwell_s=5.0, settle_s=2.0, smpl_prd=1, filter_m=3)
+    stated = Bench(0.02, noise_mg=3.0, settings=settings).as_dict()
+    # Sample period 0.61035 ms · (1 + 1).
+    assert stated["sample_rate_hz"] == pytest.approx(819.2, rel=1e-5)
+    assert stated["samples"] == 4096
+    assert (stated["dwell_s"], stated["settle_s"], stated["filter_m"]) == (5.0, 2.0, 3)
+    assert (stated["noise_mg"], stated["fixture_deg"]) == (3.0, 0.02)
+
+
 def test_the_filter_lengthens_the_wait_before_a_dwell():
     waits = [Bench(0.02, settings=Settings(settle_s=0.1, filter_m=m)).settle_s for m in (0, 6)]
     assert waits[0] == 0.1

@@ -143,6 +143,12 @@ def test_without_shared_noise_even_spacing_cannot_be_beaten(best, start_deg):
         assert abs(np.exp(2j * theta).mean()) < 0.02
 
 
+def test_without_shared_noise_the_positions_are_in_the_order_of_their_angles():
+    found = best_plan(Bench(0.02, flicker_mg=0.0), 7, grid_deg=15.0)
+    angles = [position.angle_deg for position in found.plan.positions]
+    assert angles in (sorted(angles), sorted(angles, reverse=True))
+
+
 def test_the_same_seed_gives_the_same_plan_and_it_beats_even_spacing_and_tumble():
     one, again = (best_plan(Bench(0.02), 12, seed=4) for _ in range(2))
     assert one == again

@@ -260,7 +260,7 @@ class StageCurve:
         ]
         weights = np.array(rows).T  # (n, m)
         size, axis = np.linalg.eigh(self.covariance_deg2)
-        kept = size > 1e-12 * max(float(size.max()), 0.0)
+        kept = size > 1e-12 * size.max()
         return weights @ self.error_deg, weights @ (axis[:, kept] * np.sqrt(size[kept]))
 
 
