@@ -156,6 +156,14 @@ def test_frames_are_exchanged_in_their_order_and_time(host):
     assert struct.unpack_from("<IIII", host.asked(STATISTICS))[3] == 4, "frames in all"
 
 
+@pytest.mark.parametrize(("stall_us", "period_us", "step_s"), [(5000, 0, 5.016e-3), (9, 7000, 7e-3)])
+def test_frames_keep_the_stall_and_the_period(host, stall_us, period_us, step_s):
+    host.asked(CONFIGURE, struct.pack("<IHH", 1_000_000, stall_us, period_us))
+    begin_s = host.clock.now_s()
+    host.asked(EXCHANGE, struct.pack("<B5H", 0, *[0x3800] * 5))
+    assert host.clock.now_s() - begin_s == pytest.approx(4 * step_s, rel=0.1)
+
+
 def test_a_repeated_request_gets_its_reply_again_and_is_not_executed_again(host):
     body = struct.pack("<BHH", 1, 0xA011, 0)
     (first,) = host.send(EXCHANGE, body)
@@ -286,7 +294,10 @@ def test_a_transfer_takes_its_time_and_follows_the_one_before():
     assert clock.now_s() - 1.0 == pytest.approx(2.128e-3)
     pins.transfer(b"\0\0", clock_hz=250e3, start_s=1.0)
     assert clock.now_s() - 1.0 == pytest.approx(2.192e-3), "not before the transfer before has ended"
-    assert pins.transfers == 3
+    pins.transfer(b"\0\0", clock_hz=250e3, start_s=1.1, selected=False)
+    pins.transfer(b"\0\0", clock_hz=250e3, start_s=1.1)
+    assert clock.now_s() - 1.1 == pytest.approx(128e-6), "nor before one without chip select"
+    assert pins.transfers == 5
 
 
 def test_a_clock_of_work_runs_ahead_of_the_wall_and_never_back():
