@@ -153,6 +153,29 @@ def test_the_edge_of_data_ready_that_follows_the_update_has_new_data_in_its_firs
     assert observed("data_ready_edge", edges=[scans(0) | scans(1)]) == []
 
 
+def first_word(passed: float, number: int, share: float) -> list:
+    """Observations of an offset that a word shows by a share, `passed` updates later, at M = 6."""
+    held = {"SMPL_PRD": 0x01, "SENS_AVG": 0x0406, "MSC_CTRL": 0}
+    before = RegisterSpan(0.0, held | {"XACCL_OFF": 0}, -1.0)
+    before.outputs["XACCL_OUT"] = [(0.5 + np.arange(20) / 819.2, np.full(20, 0x8000 | 100))]
+    after = RegisterSpan(1.0, held | {"XACCL_OFF": number}, 1.0)
+    seen = 0x8000 | round(100 + share * number)
+    after.outputs["XACCL_OUT"] = [(np.array([1.0 + passed * after.period_s]), np.array([seen]))]
+    return observed("offset_after_filter", spans=[before, after], rests=[])
+
+
+def test_the_first_word_after_an_offset_shows_whether_it_passes_the_filter():
+    # Of a step through two averages of 64 taps, 40 updates later, (40/64)²/2 has passed.
+    ramp = (40 / 64) ** 2 / 2
+    (at_once,), (filtered,) = first_word(40, 1000, 1.0), first_word(40, 1000, ramp)
+    assert at_once.x == pytest.approx(1.0, abs=2e-3)
+    assert filtered.x == pytest.approx(0.0, abs=2e-3)
+    assert at_once.u == pytest.approx(0.05)
+    assert first_word(60, 1000, 1.0) == [], "nearly half has passed"
+    assert first_word(0.9, 1000, 1.0) == [], "no update has passed"
+    assert first_word(40, 400, 1.0) == [], "a small offset shows nothing"
+
+
 # -- the history of the registers -------------------------------------------------------------------------
 
 
