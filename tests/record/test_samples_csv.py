@@ -201,6 +201,13 @@ def test_of_two_columns_for_one_the_formats_own_name_counts_or_the_user_has_to_s
             np.testing.assert_allclose(dwell.time_s, [0.5, 0.75])
 
 
+def test_axes_that_the_user_exchanges_keep_the_units_of_their_columns(tmp_path):
+    path = write(tmp_path, "time_s,ay_mg,ax_mg,position", "0,1,2,0", "1,1,2,0")
+    exchanged = load_session(path, Overrides(columns={"ax": "ay_mg", "ay": "ax_mg"}))
+    assert exchanged.accel_unit == "mg"
+    np.testing.assert_array_equal(exchanged.dwells[0].accel, [[1, 2]] * 2)
+
+
 def test_files_of_another_kind_are_refused(tmp_path):
     binary = tmp_path / "x.bin"
     binary.write_bytes(bytes(range(256)) * 20)

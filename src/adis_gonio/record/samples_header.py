@@ -514,7 +514,8 @@ class _Assignment:
             raise UsageError(f"columns: {what} '{called}' in {self.path.name}; there are {shown}")
         cell = self.cells[there[0]]
         own = recognise_column(cell)
-        stated = own[1] if own is not None and own[0] == known[0] else split_unit(cell)[1]
+        # The name of another axis also states a unit: the user may exchange axes.
+        stated = own[1] if own and own[1] in COLUMNS[known[0]].units else split_unit(cell)[1]
         unit = known[1] or stated
         return known[0], CsvColumn(known[0], there[0], cell, unit, plain=name.endswith("_s"))
 
