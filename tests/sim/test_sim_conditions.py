@@ -13,7 +13,7 @@ def status(host):
     return host.read(0x3C)
 
 
-@pytest.mark.parametrize(("supply_v", "bits"), [(4.70, 0x01), (4.76, 0), (5.0, 0), (5.24, 0), (5.30, 0x02)])
+@pytest.mark.parametrize(("supply_v", "bits"), [(4.70, 0x01), (4.75, 0), (5.0, 0), (5.25, 0), (5.30, 0x02)])
 def test_supply_limits(supply_v, bits):
     assert status(Host(Quiet(supply_v=supply_v))) == bits
 
@@ -73,11 +73,11 @@ def test_an_alarm_stays_in_status_after_its_condition():
 @pytest.mark.parametrize(
     ("accel", "gyro", "part", "bits"),
     [
-        ((1690.0, 0, 0), (0, 0, 0), "adis16354", 0),
+        ((1700.0, 0, 0), (0, 0, 0), "adis16354", 0),
         ((0, -1710.0, 0), (0, 0, 0), "adis16354", 0x10),
         ((0, 1710.0, 0), (0, 0, 0), "adis16350", 0),
         ((0, 0, 10100.0), (0, 0, 0), "adis16350", 0x10),
-        ((0, 0, 0), (0, 0, 299.0), "adis16354", 0),
+        ((0, 0, 0), (0, 0, 300.0), "adis16354", 0),
         ((0, 0, 0), (0, 0, -301.0), "adis16354", 0x10),
     ],
 )
@@ -111,8 +111,10 @@ def test_each_source_of_each_alarm_on_both_sides_of_its_threshold(source, alarm)
     name, value, number = SOURCES[source]
     for greater, threshold, expected in (
         (1, number - 2, True),
+        (1, number, False),
         (1, number + 2, False),
         (0, number + 2, True),
+        (0, number, False),
         (0, number - 2, False),
     ):
         host = Host(Quiet(accel_mg=(0.0, 0.0, 0.0)))
@@ -304,3 +306,21 @@ def test_data_ready_goes_before_alarm_before_general_output():
     host.settle(20)
     host.read(0x3C)
     assert levels(host, 0.5) == (1, 0), "data-ready holds the line, the alarm is over"
+
+
+@pytest.mark.parametrize("edge", ["first", "last"])
+@pytest.mark.parametrize("rising", [False, True])
+def test_the_next_edge_is_later_than_the_time_that_is_asked_for(edge, rising):
+    chip = Host(update_edge=edge, flash={"MSC_CTRL": 0x04}).chip
+    edges = [1.0]
+    for _ in range(4):
+        edges.append(chip.next_edge_s(edges[-1], rising=rising))
+    assert np.diff(edges[1:]) == pytest.approx([PERIOD] * 3, rel=1e-6)
+    begin, end = (chip.edge_after_update_s(rising=way) for way in (False, True))
+    assert end - begin == pytest.approx(50e-6), "by default"
+
+
+def test_a_line_has_no_pulse_before_the_first_update():
+    chip = Host(start=False, flash={"MSC_CTRL": 0x06}).chip
+    assert [chip.dio(0.150 + after)[0] for after in (1e-6, 1e-5, PERIOD - 1e-5)] == [0, 0, 0]
+    assert chip.dio(0.150 + PERIOD + 1e-5)[0] == 1

@@ -161,7 +161,7 @@ def test_illegal_settings_act_as_documented(word, dps_per_lsb, taps):
     assert signed(host.read(0x0A), 14) == 7491
 
 
-@pytest.mark.parametrize(("address", "data"), [(0x38, 0x05), (0x36, 0x02)])
+@pytest.mark.parametrize(("address", "data"), [(0x38, 0x05), (0x39, 0x02), (0x36, 0x02)])
 def test_a_new_filter_or_rate_starts_from_empty_taps(address, data):
     host = Host(Quiet(accel_mg=(1000.0, 0, 0)), flash={"SENS_AVG": 0x0406})
     host.settle(130)
@@ -198,6 +198,15 @@ def test_gyro_offsets_have_thirteen_bits_and_the_lsb_of_the_smallest_range(numbe
     host.settle(70)
     assert signed(host.read(0x06), 14) == pytest.approx(number / divide, abs=0.5)
     assert signed(host.read(0x04), 14) == 0
+
+
+@pytest.mark.parametrize("number", [2730, 2731])
+def test_unused_bits_of_a_register_of_twelve_bits_are_never_zero(number):
+    host = Host(Quiet(supply_v=number * 1.8315e-3))
+    host.settle(20)
+    word = host.read(0x02)
+    assert word & 0x0FFF == number
+    assert word & 0x3000 == (0x3000 if number % 2 else 0x1000), "a driver has to mask them"
 
 
 def test_an_offset_acts_at_once_since_it_is_added_after_the_filter():

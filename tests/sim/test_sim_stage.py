@@ -136,6 +136,13 @@ def test_a_free_turn_starts_at_the_angle_at_which_the_part_rests():
     assert part.error_deg != 0
 
 
+@pytest.mark.parametrize("sense", [1, -1])
+def test_a_free_turn_arrives_in_its_own_sense(sense):
+    part = stage(hand_turn_deg=sense * 365.0)
+    now = part.turn_freely(1.0)
+    assert at(part, now + 1).approach[0] == sense
+
+
 def test_before_any_move_nothing_rings():
     assert (stage(vibration_mg=20.0).at(np.linspace(-1, 5, 100)).ringing_mg == 0).all()
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from adis_gonio.base.errors import UsageError
 from adis_gonio.sim import SimulatedChip, State
 from sim.chip_rig import Host, Quiet, frames_apart, rd, wr
 
@@ -136,6 +137,29 @@ def test_a_frame_of_another_length_is_ignored_and_sets_status(bits):
     assert chip.memory["XACCL_OFF"] == 0
     chip.frame(rd(0x3C), start_s=now + 0.01, clock_hz=250e3)
     assert chip.frame(0, start_s=now + 0.02, clock_hz=250e3) == STATUS_SPI
+
+
+@pytest.mark.parametrize(("bits", "word"), [(8, 0x04), (12, 0x040), (17, 0x0804), (20, 0x4020)])
+def test_a_frame_of_another_length_gets_as_many_bits_of_the_reply(bits, word):
+    chip, now = chip_in(FAST)
+    chip.frame(rd(0x38), start_s=now, clock_hz=250e3)
+    assert chip.frame(0, start_s=now + 0.01, clock_hz=250e3, bits=bits) == word
+
+
+def test_a_frame_before_the_time_of_the_chip_is_refused():
+    chip, _ = chip_in(FAST)
+    chip.run_to(1.0)
+    with pytest.raises(UsageError, match="already simulated until 1 s"):
+        chip.frame(rd(0x38), start_s=0.9, clock_hz=250e3)
+
+
+def test_outputs_of_a_chip_that_tests_itself_show_an_error_of_before():
+    chip, now = chip_in(FAST)
+    chip.frame(wr(0x35, 0x04), start_s=now, clock_hz=250e3)
+    chip.frame(rd(0x0A), start_s=now + 0.01, clock_hz=250e3)
+    assert chip.frame(0, start_s=now + 0.011, clock_hz=250e3, bits=15) == 0
+    chip.frame(rd(0x0A), start_s=now + 0.012, clock_hz=250e3)
+    assert chip.frame(0, start_s=now + 0.013, clock_hz=250e3) == 0x4000
 
 
 def test_a_pulse_of_chip_select_without_a_clock_does_nothing():
