@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.sim import World, WorldSettings
-from adis_gonio.sim.hand import HandTurn
+from adis_gonio.sim.hand import HandTurn, Sines, hold
 
 QUIET = {"noise_mg": 0.0, "bias_instability_mg": 0.0, "gyro_noise_dps": 0.0, "gyro_instability_dps": 0.0}
 QUIET |= {"gyro_bias_sigma_dps": 0.0, "gyro_g_dps_per_g": 0.0, "delta_k": 0.0, "delta_phi_deg": 0.0}
@@ -36,6 +36,58 @@ def test_a_hand_stops_for_new_grips_and_goes_as_far_as_it_should():
     assert np.degrees(angle[-1]) == pytest.approx(-365.0)
     assert (np.abs(rate) < 1e-6).sum() > 50
     assert np.abs(rate).max() > 1.5 * np.radians(365) / turn.length_s
+
+
+def crossings_hz(values, step_s):
+    """Frequency of a series about zero, by its changes of sign."""
+    return np.count_nonzero(np.diff(np.sign(values))) / 2 / (step_s * len(values))
+
+
+def test_sines_have_an_rms_of_one_within_their_band():
+    lines = Sines.drawn(np.random.default_rng(1), (2.0, 3.0))
+    value, rate = lines.at(np.arange(0, 400, 0.01))
+    assert value.std() == pytest.approx(1.0, rel=0.05)
+    assert rate.std() ** 2 == pytest.approx(lines.mean_square_rate, rel=0.05)
+    assert 2.0 < crossings_hz(value, 0.01) < 3.0
+
+
+def test_a_hand_takes_hold_and_lets_go_in_half_a_second():
+    firmness, _ = hold(np.array([-1.0, 0.0, 0.25, 0.5, 5.0, 9.5, 9.75, 10.0, 11.0]), 10.0)
+    assert firmness == pytest.approx([0, 0, 0.5, 1, 1, 1, 0.5, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("setting", "calm", "rms_dps", "band_hz"),
+    # A turn of 365° in 50 s has a mean speed of 7.3 °/s.
+    [("hand_tremor_dps", 2.0, 2.0, (8.0, 12.0)), ("hand_unevenness", 0.3, 0.3 * 7.3, (0.5, 3.0))],
+)
+def test_tremor_and_unevenness_change_the_rate_by_their_rms_in_their_band(setting, calm, rms_dps, band_hz):
+    time_s = np.arange(1.0, 49.0, 0.005)
+    quiet = {"hand_tremor_dps": 0.0, "hand_unevenness": 0.0}
+    rates = [hand(**(quiet | {setting: value})).turned(time_s)[1] for value in (0.0, calm)]
+    extra = np.degrees(rates[1] - rates[0])
+    assert np.sqrt(np.mean(extra**2)) == pytest.approx(rms_dps, rel=0.2)
+    assert band_hz[0] < crossings_hz(extra, 0.005) < band_hz[1]
+
+
+def test_a_hand_pauses_for_a_new_grip_between_two_tenths_and_nine_tenths_of_a_second():
+    time_s = np.arange(0.0, 50.0, 0.001)
+    _, rate = hand(hand_tremor_dps=0.0, hand_unevenness=0.0).turned(time_s)
+    edges = np.flatnonzero(np.diff((np.abs(rate) < 1e-12).astype(int)))
+    pauses = np.diff(edges)[::2] / 1000
+    assert len(pauses) >= 3
+    assert ((pauses > 0.19) & (pauses < 0.91)).all()
+
+
+def test_a_bearing_wobbles_at_one_and_two_cycles_a_turn_and_a_held_part_sways():
+    time_s, angle = np.arange(2.0, 48.0, 0.01), np.linspace(0, 4 * np.pi, 4600)
+    course = angle, np.ones(4600)
+    tilt = np.degrees(hand(axis_wobble_deg=0.2).tilt(time_s, course)[0])
+    cycles = np.abs(np.fft.rfft(tilt[:-1])) * 2 / 4599
+    assert cycles[[2, 4]] == pytest.approx([0.2, 0.1], rel=0.01)
+    swaying = np.degrees(hand(axis_wobble_deg=0.2, hand_sway_deg=3.0).tilt(time_s, course)[0]) - tilt
+    assert swaying.std() == pytest.approx(3.0, rel=0.3)
+    assert 0.05 < crossings_hz(swaying, 0.01) < 0.5
 
 
 def test_gravity_turns_through_the_part_as_its_rates_say():
