@@ -310,7 +310,7 @@ class Watch:
             self.cost_s[item.nodeid] += time.process_time() - began
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Leave out a test that fails without any mutant or is skipped, as if its fixture was stopped."""
+        """Leave out a test that is skipped or fails without any mutant, perhaps by a stopped fixture."""
         if report.failed:
             self.failed.append(report.nodeid)
         if not report.passed:

@@ -275,7 +275,7 @@ def found_in(rest: Block, blocks: list[Block], sampling: Sampling) -> Integral |
 
 
 def judge_face(accel_mg: Floats, asked: Vector) -> Guard | None:
-    """Check that the requested arrow points up or down, to 30°; return None if it does.
+    """Check that the requested arrow points up or down within 30°; return None if it does.
 
     `accel_mg` (3,) is the reading at rest, `asked` the reading of an ideal sensor with this arrow up or
     down.

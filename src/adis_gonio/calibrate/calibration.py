@@ -305,6 +305,8 @@ def left_to_temperature(
         Ideal readings, in mg or °/s.
     here : Conditions
         Conditions of the readings, with their temperature.
+    session : Covered or None
+        Temperatures of the session in °C.
     """
     if session is None:
         return

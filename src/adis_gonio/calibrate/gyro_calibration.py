@@ -285,7 +285,7 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         *,
         supply_v: ArrayLike | None = None,
     ) -> Rates:
-        """Return the readings that the gyros give at a true rate `rate_dps`, with their u.
+        """Return the readings that the gyros give at a true rate `rate_dps`, with u as of `rates`.
 
         This is the inverse of `correct`. `force_g` are the readings of the accelerometers (required if a
         g-sensitivity is known). The default of `temperature_c` and `supply_v` is the mean of the session.
