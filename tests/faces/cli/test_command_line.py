@@ -476,6 +476,22 @@ def test_a_mistake_gives_one_line_and_its_status(capsys, tmp_path, monkeypatch, 
     assert not (tmp_path / "x.csv").exists()
 
 
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (OSError(28, "No space left on device", "x.csv"), "x.csv: No space left on device"),
+        (OSError(28, "No space left on device"), "No space left on device"),
+        (OSError("odd"), "odd"),
+    ],
+)
+def test_an_error_of_the_system_is_one_line_with_its_file(capsys, monkeypatch, error, line):
+    def broken():
+        raise error
+
+    monkeypatch.setattr("adis_gonio.faces.cli.device_commands.find_devices", broken)
+    assert failed(capsys, "devices") == (1, f"adis-gonio: {line}")
+
+
 def test_nothing_is_overwritten(capsys, recorded, tmp_path):
     before = recorded.read_bytes()
     assert failed(capsys, "calibrate", SIM, "--auto", "-o", str(recorded))[0] == 2
@@ -506,6 +522,8 @@ def test_a_file_that_cannot_hold_a_session_names_the_method_that_is_missing(caps
     status, message = failed(capsys, "fit", str(path), "--method", "four-position", "--json")
     assert status == 1
     assert "180" in message
+    assert main(["fit", str(path)]) == 0
+    assert " ".join(capsys.readouterr().out.split()).count("a bias cannot be seen in two positions") == 1
     status, message = failed(capsys, "fit", str(path), "--method", "nine", "--json")
     assert status == 2
     assert "mmpm" in message
