@@ -74,7 +74,7 @@ def test_a_hand_pauses_for_a_new_grip_between_two_tenths_and_nine_tenths_of_a_se
     time_s = np.arange(0.0, 50.0, 0.001)
     _, rate = hand(hand_tremor_dps=0.0, hand_unevenness=0.0).turned(time_s)
     edges = np.flatnonzero(np.diff((np.abs(rate) < 1e-12).astype(int)))
-    pauses = np.diff(edges)[::2] / 1000
+    pauses = np.diff(edges)[1::2] / 1000
     assert len(pauses) >= 3
     assert ((pauses > 0.19) & (pauses < 0.91)).all()
 
