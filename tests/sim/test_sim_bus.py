@@ -37,6 +37,30 @@ def test_an_exchange_takes_as_long_as_its_frames(bus):
     assert bus.now_s() - start == pytest.approx(100 * 160e-6 + 100 * 40e-6)
 
 
+@pytest.mark.parametrize(
+    ("stall_us", "period_us", "step_s"), [(5000.0, 0.0, 5.016e-3), (9.0, 7000.0, 7e-3)]
+)
+def test_the_first_frame_of_an_exchange_keeps_stall_and_period_from_the_one_before(
+    bus, stall_us, period_us, step_s
+):
+    bus.configure(SpiTiming(1e6, stall_us, period_us))
+    starts, frames_at = [], bus.chip.frames_at
+    bus.chip.frames_at = lambda words, starts_s, **options: (
+        starts.extend(starts_s) or frames_at(words, starts_s, **options)
+    )
+    for _ in range(3):
+        bus.exchange([0x3800] * 2)
+    assert np.diff(starts) == pytest.approx([step_s] * 5)
+
+
+def test_events_are_counted_since_the_last_call(bus):
+    on(bus)
+    bus.read_event_counter()
+    for _ in range(2):
+        bus.sleep_s(0.5)
+        assert bus.read_event_counter() == pytest.approx(0.5 * 819.2, abs=1)
+
+
 def test_waiting_costs_no_time(bus):
     before = time.monotonic()
     start = bus.now_s()
@@ -61,6 +85,7 @@ def test_the_bus_refuses_no_timing_and_the_chip_answers_for_it(bus):
 
 
 def test_negative_sleep_is_refused(bus):
+    bus.sleep_s(0.0)
     for wrong in (-1.0, float("nan")):
         with pytest.raises(UsageError):
             bus.sleep_s(wrong)
@@ -238,6 +263,12 @@ def test_a_url_sets_the_world():
         assert bus.url == "sim:?seed=1&delta_k=0.01&noise_mg=4.7&variant=16350&stream=0"
 
 
+@pytest.mark.parametrize(("url", "day"), [("sim:?seed=3", 0), ("sim:?seed=3&day=2", 2)])
+def test_a_url_without_a_day_is_the_first_session(url, day):
+    with open_bus(url) as bus:
+        assert bus.stage.error_deg == World(seed=3, day=day).stage.error_deg
+
+
 def test_a_url_without_options_is_enough():
     with open_bus("sim:") as bus:
         assert bus.capabilities == set(Capability)
@@ -263,6 +294,7 @@ def test_a_url_brings_effects_of_the_catalogue():
         ("sim:?stream=yes", "0 to 1"),
         ("sim:?realtime=2", "0 to 1"),
         ("sim:COM3", "no place"),
+        ("sim:?hands=free", "only calibrate and write know hands=free"),
         ("sim:?effects=nonsense", "no effect"),
     ],
 )
