@@ -62,7 +62,7 @@ def answers_to(question: Question) -> dict[str, BenchKey]:
         case events.PositionAsked():
             names = ["confirm", "repeat", "skip", "undo"] if question.can_undo else ["confirm", "skip"]
         case events.GuardRaised():
-            names = [name for name in question.answers if name != "stop"]
+            names = [*question.answers]
         case _:
             names = ["accept", "decline"]
     asks_turn = isinstance(question, events.GuardRaised) and question.position.turned_deg is not None
