@@ -222,6 +222,16 @@ def test_a_pulse_of_chip_select_wakes_the_chip_and_its_frame_is_lost():
     assert host.read(0x38) == 0x0402
 
 
+def test_a_sleep_lasts_its_whole_count_and_the_next_update_comes_after_it():
+    host = Host()
+    host.write_low(0x3A, 20)
+    begin = host.now
+    host.chip.run_to(begin + 9.9)
+    assert host.chip.state is State.ASLEEP
+    assert host.chip.next_update_s(begin + 9.9) == pytest.approx(begin + 10.003 + 1 / 819.2, abs=1e-3)
+    assert host.chip.state is State.RUNNING
+
+
 def test_a_frame_wakes_the_chip_too():
     host = Host()
     host.write_low(0x3A, 200)
