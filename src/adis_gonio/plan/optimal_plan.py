@@ -670,10 +670,7 @@ def _fewest_interleaved(bench: Bench, tolerance: Tolerance) -> int:
 
     def decides(count: int) -> bool:
         check()
-        try:
-            return _decides(predict_uncertainty(interleaved_plan(count), bench), tolerance)
-        except FitError:
-            return False
+        return _decides(predict_uncertainty(interleaved_plan(count), bench), tolerance)
 
     if not decides(MOST):
         raise FitError(
