@@ -170,6 +170,16 @@ def test_the_rates_are_integrated_from_the_zero_rates_of_the_dwell_before(pieces
     assert found.u_deg == pytest.approx(math.hypot(wander, noise, 0.9), rel=1e-3)
 
 
+def test_a_rate_that_rises_from_block_to_block_is_integrated_without_a_step():
+    turning = Turning(0.05, samples(reading(0.0), 0.0, 1.0))
+    time_s = np.arange(1.0, 3.0, 0.01)
+    rising = np.tile(np.concatenate([reading(0.0), np.zeros(3)]), (len(time_s), 1))
+    rising[:, 5] = 20.0 * (time_s - 0.99)
+    for rows in np.array_split(np.arange(len(time_s)), 4):
+        turning.see(ValueBlock(COLUMNS, rising[rows], time_s[rows]))
+    assert turning.turn().angle_deg[2] == pytest.approx(10.0 * 2.0**2, abs=1e-6)
+
+
 def test_the_uncertainty_of_a_turn_counts_the_way_forth_and_back():
     turning = turned()
     back = np.array([2.0, -1.0, 0.5 - 9.0])
