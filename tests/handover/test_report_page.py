@@ -23,6 +23,7 @@ from adis_gonio.handover.calibration_report import (
     positions_section,
     residual_section,
     rivals_section,
+    sight_section,
 )
 from adis_gonio.model.effects import Conditions, effect
 from adis_gonio.model.records import Dwell, Session
@@ -414,6 +415,15 @@ def test_effects_of_what_was_not_recorded_are_said_to_be_unseen(curved):
     reasons = {name: reason for reason, names in sight(curved[1]).blind.items() for name in names}
     assert reasons["bias_temperature"] == "temperature not recorded"
     assert "supply" in reasons["supply_bias"]
+
+
+def test_every_effect_that_was_looked_for_has_a_row_with_its_conclusion(curved):
+    result = curved[1]
+    (table,) = sight_section(result).tables
+    conclusions = {name: row[-1] for row in table.rows for name in row[0].split(", ")}
+    assert set(conclusions) == set(result.detectable)
+    assert conclusions["quadratic"] == "found"
+    assert {conclusions[name] for name in sight(result).weak} == {"absent or smaller"}
 
 
 def test_groups_that_begin_alike_are_one_line(curved):

@@ -9,8 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
-from adis_gonio.tracing.within.courses import LEAST_DWELLS
+from adis_gonio.tracing.within.courses import LEAST_DWELLS, Course
+from adis_gonio.tracing.within.faults import LEAST_LOUD
 from adis_gonio.tracing.within.samples import (
     SEARCHES,
     WithinFinding,
@@ -305,6 +307,22 @@ def test_probability_of_a_p_value_is_the_mean_of_all_alternatives():
         assert probability(p_value) == pytest.approx(odds / (1 + odds), rel=2e-3)
     assert probability(1.0) == pytest.approx(0.00883, rel=1e-3)
     assert probability(0.0) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("dwells", [4, 9])
+def test_the_p_value_of_a_drift_is_that_of_the_t_test_of_its_slopes(dwells: int) -> None:
+    samples = draw(np.random.default_rng(3), dwells=dwells, n=60, lsb_mg=0.0)
+    course = Course.of(samples, np.full(dwells, True), None, False)
+    slopes = [
+        np.polyfit(time, rows, 1)[0] for time, rows in zip(samples.time_s, samples.values, strict=True)
+    ]
+    assert course.p_value == pytest.approx(stats.ttest_1samp(slopes, 0.0).pvalue, rel=1e-9)
+
+
+def test_a_change_of_noise_needs_three_dwells() -> None:
+    for dwells in (LEAST_LOUD - 1, LEAST_LOUD):
+        shown = look_within(draw(np.random.default_rng(1), dwells=dwells))[1]["noise_change"]
+        assert (shown.amplitude is not None) == (dwells == LEAST_LOUD == 3)
 
 
 def test_dwells_that_are_too_short_say_so() -> None:

@@ -525,6 +525,26 @@ def test_a_line_on_which_no_packet_of_scans_comes_through_is_a_time_out_and_no_w
             assert bench.clock.now_s() - begin < 5
 
 
+def test_a_packet_that_ends_within_a_scan_counts_as_lost_scans():
+    bench = Bench(watched=False)
+    packed, cut = bench.firmware._packed, []
+
+    def shortened(kind, number, body):
+        if kind == 0xC4 and not cut:
+            cut.append(wire.Scans.unpack(body))
+            body = body[:-2]
+        return packed(kind, number, body)
+
+    with bench.open() as bus:
+        bus.configure(FAST)
+        bus.exchange([DATA_READY_ON])
+        with bus.stream(SEVEN, block_scans=16) as stream:
+            next(stream)
+            bench.firmware._packed = shortened
+            later = [next(stream) for _ in range(6)]
+    assert sum(block.lost for block in later) == len(cut[0].words) // len(SEVEN)
+
+
 def test_a_rising_edge_can_be_asked_for():
     bench = Bench(watched=False)
     streamed(bench, 1, options="?edge=rising")
