@@ -12,7 +12,7 @@ import pytest
 from scipy import stats
 
 from adis_gonio.tracing.within.courses import LEAST_DWELLS, Course
-from adis_gonio.tracing.within.faults import LEAST_LOUD
+from adis_gonio.tracing.within.faults import LEAST_LOUD, Levels
 from adis_gonio.tracing.within.samples import (
     SEARCHES,
     WithinFinding,
@@ -317,6 +317,14 @@ def test_the_p_value_of_a_drift_is_that_of_the_t_test_of_its_slopes(dwells: int)
         np.polyfit(time, rows, 1)[0] for time, rows in zip(samples.time_s, samples.values, strict=True)
     ]
     assert course.p_value == pytest.approx(stats.ttest_1samp(slopes, 0.0).pvalue, rel=1e-9)
+
+
+def test_the_p_value_of_a_change_of_noise_is_that_of_the_best_t_test_times_the_places() -> None:
+    dof = np.full(12, 40.0)
+    level = np.random.default_rng(4).chisquare(dof) / dof * np.where(np.arange(12) < 6, 1.0, 1.4)
+    logs = np.log(level)
+    best = min(stats.ttest_ind(logs[:k], logs[k:]).pvalue for k in range(1, 12))
+    assert Levels(level, dof, level, dof).changed() == pytest.approx(11 * best, rel=1e-9)
 
 
 def test_a_change_of_noise_needs_three_dwells() -> None:
