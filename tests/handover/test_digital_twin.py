@@ -112,6 +112,13 @@ def test_a_twin_is_measured_at_the_times_temperatures_and_voltages_of_the_sessio
         assert simulated.supply_v.mean() == pytest.approx(dwell.supply_v.mean(), abs=1e-3)
 
 
+def test_a_position_without_an_angle_has_the_attitude_of_its_reading(session, final):
+    undeclared = replace(session.dwells[3], angle_deg=None)
+    dwells = (*session.dwells[:3], undeclared, *session.dwells[4:])
+    twin = simulate_like(replace(session, dwells=dwells), final, seed=1)
+    assert twin.dwells[3].accel.mean(axis=0)[:2] == pytest.approx(undeclared.accel.mean(axis=0)[:2], abs=3)
+
+
 def test_as_many_readings_as_parameters_leave_nothing_to_compare(session, final):
     two = replace(session, dwells=session.dwells[:2])
     with pytest.raises(DataError, match="no residual to compare"):
