@@ -8,7 +8,6 @@ import pytest
 
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.fitting import fit
-from adis_gonio.model.records import checked_gravity_mps2
 from adis_gonio.record.loading import Overrides, load_session
 from fakes import planar_session as planar
 
@@ -142,27 +141,3 @@ def test_what_the_file_says_already_is_no_override(file):
 def test_values_that_no_session_can_have_are_refused(wrong, words):
     with pytest.raises(UsageError, match=words):
         Overrides(**wrong)
-
-
-@pytest.mark.parametrize(
-    ("value", "words"),
-    [
-        (981.0, "are 9.81 m/s²"),
-        (1.0, "1 g are 9.80665"),
-        (1000.0, "1000 mg are 9.80665"),
-        (981000.0, "mGal"),
-        (32.174, "ft/s²"),
-        (9.6, "9.7 to 9.9 on Earth"),
-        (math.nan, "9.7 to 9.9 on Earth"),
-    ],
-)
-def test_a_gravity_in_another_unit_is_told_by_its_unit(value, words):
-    with pytest.raises(UsageError) as caught:
-        checked_gravity_mps2(value)
-    assert words in str(caught.value)
-    assert "m/s²" in str(caught.value)
-
-
-def test_gravity_anywhere_on_earth_is_taken():
-    # Huascarán and the Arctic Ocean: the extremes of a global model (Hirt et al. 2013).
-    assert [checked_gravity_mps2(g) for g in (9.7639, 9.8337)] == [9.7639, 9.8337]

@@ -310,12 +310,6 @@ def test_prose_gets_no_proposal_of_columns(tmp_path):
     assert "--columns" not in refusal(saved(tmp_path, prose))
 
 
-def test_header_and_key_that_disagree_are_refused_until_the_user_tells(tmp_path):
-    path = saved(tmp_path, "# accel_unit: mg\ntime_s,position,ax [g],ay [g]\n0,0,1,2\n")
-    assert "the header says accelerations in g" in refusal(path)
-    assert load_session(path, Overrides(accel_unit="g")).accel_unit == "g"
-
-
 # --- one reading of a number, or none ------------------------------------------------------------------
 
 

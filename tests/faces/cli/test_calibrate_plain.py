@@ -12,7 +12,6 @@ import sys
 import pytest
 
 from adis_gonio.base.errors import BusTimeoutError
-from adis_gonio.base.numbers import counted
 from adis_gonio.faces.cli import main
 from adis_gonio.faces.cli.line_prompts import Lines
 from adis_gonio.record.loading import load_session
@@ -88,7 +87,7 @@ def test_undo_note_pause_repeat_skip_and_nonsense_are_all_answers_that_lead_on(b
     assert [dwell.angle_deg for dwell in session.dwells] == [0.0, 90.0, 270.0]
 
 
-def test_the_end_of_the_input_ends_the_session_and_resume_goes_on(bench):
+def test_the_end_of_the_input_ends_the_session_and_resume_goes_on_with_its_own_plan_alone(bench):
     status, said, _ = bench("\n", "--plan", "four-position")
     assert status == 1
     assert "--resume -o" in said.err
@@ -122,7 +121,7 @@ def test_an_extended_session_resumes_with_the_plan_that_it_began_with(bench):
     assert len(load_session(path).dwells) == 4
 
 
-def test_a_device_that_is_lost_leaves_the_command_that_goes_on(bench, monkeypatch):
+def test_the_loss_of_a_device_ends_with_the_command_that_resumes_the_session(bench, monkeypatch):
     def lost(_):
         raise BusTimeoutError("the bridge does not answer")
 
@@ -207,14 +206,3 @@ def test_lines_are_taken_one_by_one_and_nobody_waits_where_there_is_none(monkeyp
         assert lines.next(wait=True) == "three"
         with pytest.raises(EOFError):
             lines.next(wait=False)
-
-
-# -- words -------------------------------------------------------------------------------------------------
-
-
-def test_one_is_singular():
-    assert (counted(1, "dwell"), counted(2, "dwell"), counted(0, "dwell")) == (
-        "1 dwell",
-        "2 dwells",
-        "0 dwells",
-    )
