@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from adis_gonio.live.motion_model import (
-    GAP_PERIODS,
     HAND_DPS_PER_RT_S,
     SATURATED_DPS,
     GyroKnowledge,
@@ -59,7 +58,6 @@ def test_the_temperature_of_a_step_is_the_mean_of_its_samples():
 
 @pytest.mark.parametrize(("wait_s", "gap"), [(0.0149, False), (0.0151, True), (0.3, True)])
 def test_more_than_one_and_a_half_periods_between_samples_are_a_gap(wait_s, gap):
-    assert GAP_PERIODS == 1.5
     found = steps(np.cumsum([0, 0.01, 0.01, 0.01, wait_s, 0.01, 0.01, 0.01]), 0.0)
     assert [one.gap_s > 0 for one in found] == [False, False, gap, False]
     assert found[2].gap_s == pytest.approx(wait_s if gap else 0)

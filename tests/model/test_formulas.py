@@ -81,6 +81,7 @@ def test_a_formula_has_an_amplitude_for_each_axis_in_the_unit_of_the_readings() 
         ("mine_x = True", "'True' is not allowed"),
         ("mine_x = not gx", "'not gx' is not allowed"),
         ("mine_x = gx % 2", "'gx % 2' is not allowed"),
+        ("mine_x = (gx", "this is no expression"),
         ("mine_x = sin(x=gx)", "'sin(x=gx)' is not allowed"),
         ("mine_x = open('a')", "no function is called 'open'"),
         ("mine_x = foo * 2", "no covariate is called 'foo'"),

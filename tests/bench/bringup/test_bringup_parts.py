@@ -102,7 +102,12 @@ def summary(*verdicts: Verdict, unrestored: list[str] | None = None) -> Bringup:
             True,
             "No fault was found; differs from the table: step 0; 1 of 2 steps were not measured.",
         ),
-        ([Verdict.FAULT, Verdict.DIFFERS, Verdict.FAULT], ("step 0", "step 1", "step 2"), False, None),
+        (
+            [Verdict.FAULT, Verdict.DIFFERS, Verdict.FAULT],
+            ("step 0", "step 1", "step 2"),
+            False,
+            "Fault: step 0, step 2; differs from the table: step 1.",
+        ),
     ],
 )
 def test_a_bring_up_accuses_faults_and_differences_and_is_sound_without_faults(
@@ -110,7 +115,7 @@ def test_a_bring_up_accuses_faults_and_differences_and_is_sound_without_faults(
 ):
     made = summary(*verdicts)
     assert (made.accused, made.sound) == (accused, sound)
-    assert made.headline == (headline or "Fault: step 0, step 2; differs from the table: step 1.")
+    assert made.headline == headline
     assert made.as_dict()["sound"] == sound
 
 
@@ -139,7 +144,6 @@ def test_a_step_ends_by_its_answers():
 def test_a_question_that_no_step_answers_says_why():
     answers = {one["name"]: one for one in summary().as_dict()["answers"]}
     assert list(answers) == [question.name for question in QUESTIONS]
-    assert len(set(answers)) == len(QUESTIONS) > 20
     assert "oscilloscope" in answers["data_ready_pulse"]["text"]
     assert answers["flash_count"]["text"] == "the step that answers it was not done"
     assert {one["outcome"] for one in answers.values()} == {"not measured"}

@@ -1,4 +1,4 @@
-"""Probabilities of the table's rows: what an observation tells, and what a recorded chip shows of it."""
+"""Probabilities of the table's rows, from observations and from the history of a recorded chip."""
 
 from __future__ import annotations
 
@@ -116,8 +116,7 @@ def test_a_reply_that_may_be_two_things_is_no_observation():
 
 @pytest.mark.parametrize(("extra", "label"), [(0, "zeros"), (0xF8F8, "ones"), (0x8000, ELSE)])
 def test_reserved_bits_of_a_register_are_named_once_for_each_content(extra, label):
-    row = BY_NAME["SENS_AVG"]
-    assert observed("reserved_bits", reads=[(row, 0x0402 | extra)] * 3) == [label]
+    assert observed("reserved_bits", reads=[(BY_NAME["SENS_AVG"], 0x0402 | extra)] * 3) == [label]
 
 
 @pytest.mark.parametrize(
@@ -208,13 +207,13 @@ def test_the_history_has_each_write_with_its_content_and_each_read(recorded):
     sensor.write("XACCL_OFF", -300)
     sensor.read("XACCL_OFF")
     chip = history()
-    assert [content for _, content, _, _ in chip.after_writes] == [0x0D4]  # no frame told the last reply
+    assert [content for _, content, _, _ in chip.after_writes] == [0x0D4]  # the second has no reply
     assert (BY_NAME["XACCL_OFF"], 0xED4) in chip.reads
     assert chip.spans[-1].image["XACCL_OFF"] == 0xED4
     assert "XACCL_OFF" in chip.spans[-1].verified
     for name in ("reply_to_write", "offset_upper_bits"):
-        row = BY_QUESTION[name]
-        assert row.judge([*row.observe(chip, PART)]).best == "zeros"
+        question = BY_QUESTION[name]
+        assert question.judge([*question.observe(chip, PART)]).best == "zeros"
 
 
 def test_the_history_has_the_waits_for_commands_and_forgets_what_they_change(recorded):
@@ -225,7 +224,7 @@ def test_the_history_has_the_waits_for_commands_and_forgets_what_they_change(rec
     chip = history()
     assert [name for _, name in chip.nulls] == ["autonull"]
     after = chip.spans[chip.nulls[0][0]].image
-    assert after["XGYRO_OFF"] == sensor.read("XGYRO_OFF") & 0x1FFF != 0, "read anew after the command"
+    assert after["XGYRO_OFF"] == sensor.read("XGYRO_OFF") & 0x1FFF != 0, "read again after the command"
     assert "XACCL_OFF" in after
     sensor.reset()
     chip = history()

@@ -182,15 +182,16 @@ def test_a_repeated_request_gets_its_reply_again_and_is_not_executed_again(host)
 
 def test_unsound_packets_are_counted_and_not_answered(host):
     for data in (
-        b"\x05ab\0",
-        cobs.encode(bytes(6)) + b"\0",
-        cobs.encode(bytes(range(20))) + b"\0",
-        b"\0\0",
+        b"\x05ab\0",  # no COBS
+        cobs.encode(bytes(6)) + b"\0",  # too short
+        cobs.encode(b"\3" * 253) + b"\0",  # too long
+        cobs.encode(bytes(range(20))) + b"\0",  # wrong CRC
+        b"\0\0",  # nothing
     ):
         host.firmware.feed(data)
-    host.firmware.feed(cobs.encode(b"\3" * 253) + b"\0")
     assert host.received() == []
-    assert struct.unpack_from("<7H", host.asked(STATISTICS), 16)[:4] == (2, 1, 1, 2)
+    packets, crc, not_cobs, length = struct.unpack_from("<4H", host.asked(STATISTICS), 16)
+    assert (packets, crc, not_cobs, length) == (2, 1, 1, 2)
 
 
 def test_a_hello_with_a_new_nonce_is_new_whatever_its_id(host):
