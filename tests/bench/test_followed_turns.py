@@ -114,7 +114,7 @@ def test_a_turn_ends_after_a_rest_that_is_longer_before_it_is_whole(angle_deg, r
     assert turn.ended == ended
 
 
-def test_a_rest_goes_on_over_blocks_and_begins_anew_after_a_motion():
+def test_a_rest_goes_on_over_blocks_and_begins_again_after_a_motion():
     turn = turned((0.0, 0.0, 360.0))
     for begin_s, rate_dps, ended in (
         (11.0, 0.0, None),

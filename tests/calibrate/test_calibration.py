@@ -187,7 +187,7 @@ def test_an_angle_without_a_temperature_names_the_temperature_that_it_assumes():
 
 
 @pytest.mark.parametrize("stage", [True, False])
-def test_the_error_without_the_calibration_is_that_of_the_angle_by_plain_readings(stage):
+def test_the_error_without_a_calibration_is_the_error_of_the_arctangent_of_the_readings(stage):
     calibration = known(alpha=30.0)
     before, after = calibration.error_curves(stage=stage)
     assert not after.error_deg.any()

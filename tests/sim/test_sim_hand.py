@@ -57,14 +57,14 @@ def test_a_hand_takes_hold_and_lets_go_in_half_a_second():
 
 
 @pytest.mark.parametrize(
-    ("setting", "calm", "rms_dps", "band_hz"),
+    ("setting", "size", "rms_dps", "band_hz"),
     # A turn of 365° in 50 s has a mean speed of 7.3 °/s.
     [("hand_tremor_dps", 2.0, 2.0, (8.0, 12.0)), ("hand_unevenness", 0.3, 0.3 * 7.3, (0.5, 3.0))],
 )
-def test_tremor_and_unevenness_change_the_rate_by_their_rms_in_their_band(setting, calm, rms_dps, band_hz):
+def test_tremor_and_unevenness_change_the_rate_by_their_rms_in_their_band(setting, size, rms_dps, band_hz):
     time_s = np.arange(1.0, 49.0, 0.005)
     quiet = {"hand_tremor_dps": 0.0, "hand_unevenness": 0.0}
-    rates = [hand(**(quiet | {setting: value})).turned(time_s)[1] for value in (0.0, calm)]
+    rates = [hand(**(quiet | {setting: value})).turned(time_s)[1] for value in (0.0, size)]
     extra = np.degrees(rates[1] - rates[0])
     assert np.sqrt(np.mean(extra**2)) == pytest.approx(rms_dps, rel=0.2)
     assert band_hz[0] < crossings_hz(extra, 0.005) < band_hz[1]

@@ -153,7 +153,7 @@ def test_a_frame_before_the_time_of_the_chip_is_refused():
         chip.frame(rd(0x38), start_s=0.9, clock_hz=250e3)
 
 
-def test_outputs_of_a_chip_that_tests_itself_show_an_error_of_before():
+def test_outputs_during_a_self_test_show_an_earlier_error():
     chip, now = chip_in(FAST)
     chip.frame(wr(0x35, 0x04), start_s=now, clock_hz=250e3)
     chip.frame(rd(0x0A), start_s=now + 0.01, clock_hz=250e3)

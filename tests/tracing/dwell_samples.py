@@ -1,6 +1,6 @@
 """Samples inside dwells whose truth is known: filtered, rounded noise, with what a test adds to it.
 
-Own signals in numpy; of the product only the record that holds them and the search that is tested.
+The signals are made in numpy; the product provides their record and the search that is tested.
 """
 
 from __future__ import annotations

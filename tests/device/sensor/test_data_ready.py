@@ -124,7 +124,7 @@ def test_edges_at_the_right_rate_that_are_not_the_updates_are_found_by_nd(monkey
     assert board.msc_ctrl == 0
 
 
-def test_without_the_wire_a_stream_polls_says_why_and_leaves_the_register(monkeypatch):
+def test_without_the_wire_a_stream_polls_says_why_counts_by_time_and_leaves_the_register(monkeypatch):
     board = Board(monkeypatch, wired=False)
     with Adis16354(board.bus) as sensor:
         sensor.configure(data_ready=True)
