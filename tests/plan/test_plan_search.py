@@ -183,6 +183,12 @@ def test_order_is_what_separates_drift_from_the_angle_and_both_sides_show_backla
     assert {"bias_drift", "backlash"} not in alike
 
 
+def test_fewer_positions_that_determine_nothing_are_too_few_and_no_error():
+    # With this noise 15 interleaved positions decide, but 10 determine neither ΔK nor Δφ.
+    with pytest.raises(FitError, match=r"^15 positions"):
+        fewest_positions(Bench(0.05, flicker_mg=200.0), Tolerance(15.0), grid_deg=15.0)
+
+
 def test_fewest_is_the_fewest_and_time_is_what_a_session_expects():
     bench = Bench(0.05)
     tolerance = Tolerance(0.05, risk=0.02)

@@ -670,7 +670,10 @@ def _fewest_interleaved(bench: Bench, tolerance: Tolerance) -> int:
 
     def decides(count: int) -> bool:
         check()
-        return _decides(predict_uncertainty(interleaved_plan(count), bench), tolerance)
+        try:
+            return _decides(predict_uncertainty(interleaved_plan(count), bench), tolerance)
+        except FitError:
+            return False
 
     if not decides(MOST):
         raise FitError(
