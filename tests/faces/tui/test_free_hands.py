@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import sys
 import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -117,6 +118,26 @@ def test_the_result_of_a_withdrawn_dwell_is_not_shown_any_longer():
     assert state.latest(events.Running) is not None
     state.take(events.Withdrawn(2, PLAN.positions[2]))
     assert state.latest(events.Running) is None
+
+
+def test_a_paused_session_on_hardware_waits_for_its_operator(monkeypatch):
+    class Late(io.StringIO):
+        def readline(self, *_):
+            time.sleep(0.2)
+            return "\n"
+
+    class Session(TypedRunner):
+        bench = SimpleNamespace(virtual_time=False, replayed=False)
+
+        def run(self, *, so_far=True):
+            yield from THREE[:4]
+            yield events.Paused()
+            told_at_once.extend(self.told)
+
+    told_at_once: list[str] = []
+    monkeypatch.setattr("sys.stdin", Late())
+    PlainBench(Session([]), auto=False).run()
+    assert told_at_once == ["unpause"]
 
 
 def test_the_message_of_a_guard_is_said_once(capsys, monkeypatch):
