@@ -31,7 +31,7 @@ from adis_gonio.base.numbers import counted, format_percent
 from adis_gonio.base.uncertainty import Detectable, Value
 from adis_gonio.fitting.estimation.readings import mg_per_unit
 from adis_gonio.fitting.estimation.spectrum import covariance_of_means
-from adis_gonio.model.effects import AXES, Conditions, Effect, effect
+from adis_gonio.model.effects import AXES, Conditions, Effect, catalogue, effect
 from adis_gonio.model.effects.sensor_terms import REFERENCE_C
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing.findings import shares
@@ -48,6 +48,8 @@ NOISE_RATIOS = (0.1, 1.0, 10.0, 1e2, 1e3, 1e4)
 """Sizes of slow noise that are tried: ratios of two variances of a reading.
 The first variance is the one over the session by slow noise, the second the one by fast noise."""
 DEGREES = (1, 2, 3)
+_CHANGING = {"temperature", "time", "supply"}
+"""Covariates that change in one pose. An effect of them is a candidate if it moves a reading of 0 g."""
 TAUS = 14
 _RIDGE = 1e-12
 """Ridge of the normal equations relative to their trace; it keeps them solvable if columns are equal."""
@@ -200,7 +202,9 @@ def _problem(session: Session, dwell: Dwell, temperature_c: Floats) -> _Problem:
     )
     effects: dict[str, Effect] = {}
     forms: dict[str, list[_Form]] = {}
-    for name in ("bias_temperature", "thermal_lag", "warm_up", "bias_drift", "supply_bias"):
+    for name, kind in catalogue("accelerometer").items():
+        if not _CHANGING.intersection(kind.covariates):
+            continue
         made = effect(name, AXES[: readings.shape[1]])
         own = [
             _Form(columns[:, :degree], tau, number % 3 == 0)
@@ -215,7 +219,7 @@ def _problem(session: Session, dwell: Dwell, temperature_c: Floats) -> _Problem:
 
 
 def _columns(made: Effect, conditions: Conditions) -> Iterator[tuple[Floats, float | None]]:
-    """Yield the columns (n, d) of an effect on one axis, with each time constant in s to try.
+    """Yield the columns (n, d) of an effect on one axis at 0 g, with each time constant in s to try.
 
     An effect without a time constant has one set of columns, with None; an effect of a condition that was
     not recorded has none. Column k of an effect of the temperature is the term of degree k: (T − 25 °C)^k,
@@ -224,12 +228,12 @@ def _columns(made: Effect, conditions: Conditions) -> Iterator[tuple[Floats, flo
     if conditions.lacks(made.needs):
         return
     one = effect(made.name, ("x",), **dict.fromkeys(made.choices(), DEGREES[-1]))
-    ones, length = np.ones((len(conditions), 1)), float(np.ptp(conditions.time_s))
+    still, length = np.zeros((len(conditions), 2)), float(np.ptp(conditions.time_s))
     shaped = any(parameter.shape for parameter in one.parameters)
     for tau in np.geomspace(length / 500, length / 3, TAUS).tolist() if shaped else (None,):
         values = np.append(np.zeros(len(one.parameters) - 1), tau or 0.0)
         # The last column of an effect with a time constant is the derivative by it.
-        columns = one.derivative(values, ones, conditions)[:, 0, : -1 if shaped else None]
+        columns = one.derivative(values, still, conditions)[:, 0, : -1 if shaped else None]
         if one.shown_over == "temperature_lag":
             above = conditions.covariate("temperature_c")[:, None] - REFERENCE_C
             columns = np.hstack([(above + columns) ** k - above**k for k in DEGREES])
