@@ -31,7 +31,7 @@ from adis_gonio.base.numbers import counted, format_percent
 from adis_gonio.base.uncertainty import Detectable, Value
 from adis_gonio.fitting.estimation.readings import mg_per_unit
 from adis_gonio.fitting.estimation.spectrum import covariance_of_means
-from adis_gonio.model.effects import AXES, Conditions, Effect, catalogue, effect
+from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, catalogue, effect
 from adis_gonio.model.effects.sensor_terms import REFERENCE_C
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.tracing.findings import shares
@@ -203,7 +203,7 @@ def _problem(session: Session, dwell: Dwell, temperature_c: Floats) -> _Problem:
     effects: dict[str, Effect] = {}
     forms: dict[str, list[_Form]] = {}
     for name, kind in catalogue("accelerometer").items():
-        if not _CHANGING.intersection(kind.covariates):
+        if kind.enters is not Enters.READING or not _CHANGING.intersection(kind.covariates):
             continue
         made = effect(name, AXES[: readings.shape[1]])
         own = [
