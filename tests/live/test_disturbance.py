@@ -52,6 +52,21 @@ def test_a_shock_counts_in_its_own_step_alone():
     assert disturbance_of(level, 29, 1.0).coloured_mg2 < 1
 
 
+@pytest.mark.parametrize("place", [5, 30, 74])
+def test_a_hard_shock_leaves_the_other_steps_as_they_were(place):
+    # A shock of 500 mg anywhere in the span shifts mean and slope of 75 steps by many times their noise.
+    rng = np.random.default_rng(6)
+    level = 1000 + white(rng, 75, 1.0)
+    struck = level.copy()
+    struck[place] += 500.0
+    for at in (place - 3, place - 1):
+        one, other = disturbance_of(level, at, 1.0), disturbance_of(struck, at, 1.0)
+        assert other.coloured_mg2 == 0
+        assert other.white_mg2 == pytest.approx(one.white_mg2, rel=0.05)
+    # Half of the square, for one of two components.
+    assert disturbance_of(struck, place, 1.0).white_mg2 == pytest.approx(500**2 / 2, rel=0.02)
+
+
 def test_a_shock_does_not_change_the_colour_of_a_tremor():
     rng = np.random.default_rng(5)
     level = 1000 + process(rng, 75, 1.2, -0.8, 3.0) + white(rng, 75, 1.0)

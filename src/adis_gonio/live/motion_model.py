@@ -388,12 +388,15 @@ def disturbance_of(level: Floats, at: int, sensor_mg2: float) -> Disturbance:
     middle = len(squares) // 2
     # The median of a squared modulus is 2 ln 2 of a component's variance.
     typical = max(float(np.partition(squares, middle)[middle]) / (2 * math.log(2)), 0.5 * sensor_mg2)
-    # Shocks are left out of the autocovariances.
+    # Shocks are left out of mean and slope, which would change all steps, and of the autocovariances.
     calm = squares <= 2 * SHOCK * typical
+    if not calm.all():
+        rest = level - np.polyval(np.polyfit(place[calm], level[calm], 1), place)
+        squares = rest.real**2 + rest.imag**2
     shock = 0.0 if calm[at] else 0.5 * float(squares[at])
     rest = np.where(calm, rest, 0.0)
-    count = int(calm.sum())
-    free = 2 * max(count - 2, 1)
+    # At least half of the steps are calm.
+    free = 2 * (int(calm.sum()) - 2)
     zeroth = float(squares[calm].sum()) / free
     # Coloured part: variance in excess of the white noise of the sensor.
     excess = zeroth - sensor_mg2
@@ -729,7 +732,8 @@ class AngleSmoother:
         step_s = sensing.step_samples * sensing.period_s
         self._lag = round(lag_s / step_s)
         self._back = max(2 * LEAST_STEPS, round(BACK_S / step_s))
-        self._ahead = round(AHEAD_S / step_s)
+        # Only steps within the lag count after a step, so that the result does not depend on the blocks.
+        self._ahead = min(self._lag, round(AHEAD_S / step_s))
         self._seen: deque[Turned] = deque()
         self._waiting: tuple[Increment, Increment | None] | None = None
         self._stepper = Stepper(sensing)
@@ -903,13 +907,10 @@ class AngleSmoother:
         if seen.increment.saturated:
             return coloured(self._sensing.step_noise_mg2, SATURATED_MG**2, 0.9, 0.8)
         first, last = max(0, place - self._back), min(len(self._seen), place + self._ahead + 1)
-        # Only steps within the lag count after it, so that the result does not depend on the blocks.
-        last = min(last, place + self._lag + 1)
-        span = [self._seen[k] for k in range(first, last)]
         # Steps without a break between them and this one.
-        alike = [k for k, one in enumerate(span) if one.segment == seen.segment]
-        level = np.array([span[k].level for k in alike])
-        return disturbance_of(level, alike.index(place - first), self._sensing.step_noise_mg2)
+        alike = [k for k in range(first, last) if self._seen[k].segment == seen.segment]
+        level = np.array([self._seen[k].level for k in alike])
+        return disturbance_of(level, alike.index(place), self._sensing.step_noise_mg2)
 
     def _advance(self, state: StateEstimate, place: int) -> StateEstimate:
         return advance(state, self._step(self._seen[place], self._disturbance(place), state))
