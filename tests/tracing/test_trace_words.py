@@ -234,6 +234,22 @@ def test_gains_are_stated_with_what_was_held_out() -> None:
     assert not words.exact(result(steps=(), after=replace(AFTER, residual_rms=0.0)))
 
 
+def test_the_gains_state_a_smaller_model_that_predicts_better() -> None:
+    small, large = replace(AFTER, heldout_rms=0.2), replace(AFTER, heldout_rms=3.0)
+    worse = (step("bias", small), step("unnamed: bias of y follows the angle", large))
+    clause = "; with bias alone, the held-out error is smaller: 0.200 mg."
+    assert words.gains(result(steps=worse, after=large)).endswith(clause)
+    nothing = (step("unnamed: bias of y follows the angle", replace(AFTER, heldout_rms=15.0)),)
+    text = words.gains(result(steps=nothing, after=nothing[0].error))
+    assert text.endswith("; with the base model alone, the held-out error is smaller: 12.0 mg.")
+    # A model that does not predict worse by its own terms needs no such clause.
+    kept = replace(large, heldout_kept=0.21)
+    assert "smaller" not in words.gains(result(steps=(worse[0], step("cubic", kept)), after=kept))
+    assert "smaller" not in words.gains(
+        result(steps=(step("bias", large), step("cubic", small)), after=small)
+    )
+
+
 @pytest.mark.parametrize(
     ("log_odds", "text"), [(0.0, "1.0 : 1"), (3.2189, "25 : 1"), (-3.2189, "1 : 25"), (-23.03, "1 : 10¹⁰")]
 )

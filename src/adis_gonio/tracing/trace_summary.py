@@ -110,8 +110,7 @@ def error_rows(result: TraceResult) -> tuple[list[str], list[list[str]]]:
 
     The base model is first. Columns without values are omitted.
     """
-    steps = [(f"+ {step.effect}", step.error) for step in result.steps]
-    rows = [("base model", result.before), *steps]
+    rows = [("base model", result.before), *((f"+ {step.effect}", step.error) for step in result.steps)]
     unit = format_unit(result.before.unit)
     unit = f"({unit})" if "/" in unit else unit
     columns: dict[str, list[float | None]] = {
@@ -270,13 +269,10 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
             else "the noise of a reading is unknown."
         )
         return f"{what or 'Nothing was found beyond the base model.'} {ending}"
-    if result.confounded or result.reasons:
-        ending = (
-            "The residual stays larger than the noise, and this session cannot decide what causes the rest."
-        )
-    else:
-        ending = "The residual stays larger than the noise, and no named effect explains the rest."
-    return f"{what or 'Nothing was found for certain.'} {ending}"
+    undecided = result.confounded or result.reasons
+    rest_by = "this session cannot decide what causes" if undecided else "no named effect explains"
+    begin = what or "Nothing was found for certain."
+    return f"{begin} The residual stays larger than the noise, and {rest_by} the rest."
 
 
 def exact(result: TraceResult) -> bool:
@@ -285,7 +281,10 @@ def exact(result: TraceResult) -> bool:
 
 
 def gains(result: TraceResult) -> str:
-    """Return a sentence with the errors of the base model and of the final model."""
+    """Return a sentence with the errors of the base model and of the final model.
+
+    It also states the held-out error of a smaller model if this error is less than the final model's.
+    """
     before, after = result.before, result.after
     unit = format_unit(before.unit)
     if exact(result):
@@ -302,6 +301,13 @@ def gains(result: TraceResult) -> str:
         parts.append("no data were held out, so this is not verified on other data")
     if before.angle_rms_deg is not None and after.angle_rms_deg is not None:
         parts.append(f"the error of the angle {_fall(before.angle_rms_deg, after.angle_rms_deg, '°', '°')}")
+    errors = [before.heldout_rms, *(step.error.heldout_rms for step in result.steps)]
+    least = min(filter(None, errors), default=0.0)
+    # Smaller models are not chosen again in each fold either.
+    if format_reduction(after.heldout_kept or after.heldout_rms, least):
+        names = join_words([step.effect for step in result.steps[: errors.index(least)]])
+        text = f"with {names or 'the base model'} alone, the held-out error is smaller"
+        parts.append(f"{text}: {format_number(least)} {unit}")
     return "; ".join(parts) + "."
 
 
