@@ -20,6 +20,7 @@ from adis_gonio.sim import WorldSettings
 from adis_gonio.sim.settings import described_settings
 
 SIM = "sim:?seed=1"
+MIXED = "the words of a row may come from neighbouring updates, " * 3 + "since polling was slow"
 COMMANDS = [
     ["fit", "SESSION"],
     ["fit", "SESSION", "--all"],
@@ -61,6 +62,17 @@ def test_an_error_is_folded_on_a_terminal_and_one_line_elsewhere(monkeypatch, sc
     )
     assert (len(lines) == 1) == (screen is io.StringIO)
     assert screen is io.StringIO or max(map(len, lines)) < 80
+
+
+def test_warnings_of_a_stream_are_folded_on_a_terminal(monkeypatch):
+    monkeypatch.setattr("sys.stderr", Terminal())
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr("adis_gonio.device.sensor.scanning.PolledScans.caveat", MIXED)
+    assert main(["stream", SIM, "--poll", "--seconds", "0.1"]) == 0
+    text = sys.stderr.getvalue()
+    assert MIXED in " ".join(text.split())
+    assert max(map(len, text.splitlines())) < 80
 
 
 @pytest.fixture(scope="module")

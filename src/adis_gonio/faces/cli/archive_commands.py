@@ -54,9 +54,9 @@ def _records_of(store: Store, serial: str) -> list[SessionRecord]:
     known = store.serials()
     found = store.records(known_serial(serial, known))
     for one in store.copies(serial):
-        click.echo(f"{one.path} holds the same samples as {one.same_as}: counted once", err=True)
+        show.say(f"{one.path} holds the same samples as {one.same_as}: counted once")
     for other in alike(serial, known):
-        click.echo(f"sessions of '{other}' are not included with '{serial}': another sensor?", err=True)
+        show.say(f"sessions of '{other}' are not included with '{serial}': another sensor?")
     return found
 
 
@@ -262,7 +262,7 @@ def fleet_command(
     for path in outputs:
         show.report_written(path, counted(len(fleet.records), "session"))
     if fleet.failed:
-        click.echo(f"{counted(fleet.failed, 'session')} of {len(fleet.records)} failed", err=True)
+        show.say(f"{counted(fleet.failed, 'session')} of {len(fleet.records)} failed")
     return 1 if fleet.failed else 0
 
 
@@ -280,5 +280,5 @@ def _journal(path: Path | None) -> Iterator[Store]:
         except KeyboardInterrupt:
             if path is not None:
                 done = counted(store.sessions, "session")
-                click.echo(f"{path} keeps {done}: the same command continues from there", err=True)
+                show.say(f"{path} keeps {done}: the same command continues from there")
             raise

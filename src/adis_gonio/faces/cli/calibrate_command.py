@@ -154,7 +154,7 @@ def calibrate_command(
     cure = "--resume goes on with it, --force keeps it under another name"
     check_output(output, force=force or resume, cure=cure)
     if output.exists() and not resume:
-        click.echo(f"{output}: renamed to {set_aside(output)}", err=True)
+        say(f"{output}: renamed to {set_aside(output)}")
     if resume and not output.exists():
         raise SessionError(f"{output}: no such session to resume")
     option.refuse(() if closing else ("max_extra",), "limits the positions that --trace adds")
@@ -169,7 +169,7 @@ def calibrate_command(
             done = not view.pending() and extension(view.plan(), len(view.dwells())) is None
         complete = done and not closing
     if complete:
-        click.echo(f"{output}: complete, nothing is left to do", err=True)
+        say(f"{output}: complete, nothing is left to do")
     else:
         complete, on_screen = _run(url, output, plain=plain, resume=resume, advisor=advisor, **options)
     session = load_session(output)
@@ -287,7 +287,7 @@ def _trace(session: Session, advisor: TraceAdvisor) -> TraceResult | None:
         with report_progress(f"tracing {counted(len(session.dwells), 'dwell')}"):
             return trace(session)
     except FitError as error:
-        click.echo(f"not traced: {error}", err=True)
+        say(f"not traced: {error}")
         return None
 
 

@@ -125,7 +125,7 @@ def serve_command(
             f"{url}: served as iio:device0 at ip:{address}:{taken}, {writing}; Ctrl-C ends it", err=True
         )
         if not ipaddress.ip_address(address.partition("%")[0]).is_loopback:
-            click.echo("anybody who reaches this address can connect; there is no password", err=True)
+            say("anybody who reaches this address can connect; there is no password")
 
     with open_sensor(url, variant=variant, check=not no_check) as sensor:
         tell = partial(click.echo, err=True)
@@ -168,9 +168,9 @@ def frames_command(*, recording: Path, variant: str, as_json: bool) -> int:
     if as_json:
         print_json({"frames": listed, "problems": problems, "damage": source.damage})
     else:
-        click.echo(f"{problems} with a problem", err=True)
+        say(f"{problems} with a problem")
         if source.damage:
-            click.echo(f"{recording}: {source.damage}", err=True)
+            say(f"{recording}: {source.damage}")
     return 1 if problems or source.damage else 0
 
 
@@ -221,7 +221,7 @@ def registers_command(
         offsets, refused = offset_words_in(calibration_path)
         wanted = {offset.name: offset for offset in offsets}
         for reason in refused:
-            click.echo(f"not compared: {reason}", err=True)
+            say(f"not compared: {reason}")
     with open_sensor(url, variant=variant, check=not no_check) as sensor:
         # All values are parsed before the first one is written.
         numbers = [(row, _parse_number(sensor, row, text)) for row, text in writes]
@@ -232,7 +232,7 @@ def registers_command(
         if not words:
             reads = [row for row in REGISTERS if row.readable and row.name != "STATUS"]
         if not save and any(row.flash_mask for row, _ in writes):
-            click.echo("volatile until saved to flash (--save)", err=True)
+            say("volatile until saved to flash (--save)")
         held = [(row, sensor.quantity(row)) for row in [row for row, _ in writes] + reads]
         _show_registers(held, wanted, as_json=as_json)
 
@@ -274,7 +274,7 @@ def _show_registers(
     for row, quantity in rows:
         if row.name.startswith("ALM_MAG") and quantity is not None and quantity.number == MARK:
             text = f"{row.name} holds the mark of an interrupted session, which has no effect"
-            click.echo(f"{text}; the next calibrate or flash update removes it", err=True)
+            say(f"{text}; the next calibrate or flash update removes it")
     if as_json:
         documents = []
         for row, quantity in rows:

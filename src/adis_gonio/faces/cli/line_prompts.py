@@ -17,15 +17,13 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from adis_gonio.base.errors import install_extra
 from adis_gonio.base.numbers import counted, signed
 from adis_gonio.base.tables import fold_text
 from adis_gonio.bench import events
 from adis_gonio.bench.guidance import drawing, to_do, turn_to_do
 from adis_gonio.faces import bench_words as words
-from adis_gonio.faces.cli.show import console, print_indented
+from adis_gonio.faces.cli.show import console, print_indented, say
 from adis_gonio.faces.cli.terminal import on_terminal
 from adis_gonio.faces.cli.trace_commands import loop_line
 from adis_gonio.faces.tui import screen_text
@@ -236,11 +234,9 @@ class PlainBench:
             return
         try:
             line = self._lines.next(wait=wait)
-        except EOFError:
-            self._screen.print("\nno more input: the session ends here", style="yellow")
-            self._close(self._runner.stop)
-            return
-        except KeyboardInterrupt:
+        except (EOFError, KeyboardInterrupt) as error:
+            if isinstance(error, EOFError):
+                self._screen.print("\nno more input: the session ends here", style="yellow")
             self._close(self._runner.stop)
             return
         finally:
@@ -361,5 +357,5 @@ def can_show_screen() -> bool:
         least = f"{LEAST_SIZE[0]} × {LEAST_SIZE[1]} characters"
         missing = f"the bench screen needs {least}, this terminal has {size.columns} × {size.lines}"
     if missing:
-        click.echo(f"plain prompts: {missing}", err=True)
+        say(f"plain prompts: {missing}")
     return not missing

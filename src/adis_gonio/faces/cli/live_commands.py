@@ -193,7 +193,7 @@ class ShownStream:
 
     def _add(self, block: Block, caveat: str) -> None:
         if caveat and not self._caveat_printed:  # the speed of the bus is known after the first block
-            click.echo(caveat, err=True)
+            say(caveat)
             self._caveat_printed = True
         self._scans += len(block)
         self._lost += block.lost
@@ -220,7 +220,7 @@ class ShownStream:
         where = "" if recorder is None else f", {counted(recorder.rows, 'row')} in {recorder.path}"
         more = f", {self._dropped} left out without new data (ND)" if self._dropped else ""
         more += f", {self._alarms} with an error or alarm in STATUS (EA)" if self._alarms else ""
-        click.echo(f"{counted(self._scans, 'scan')}, {self._lost} lost{more}{where}", err=True)
+        say(f"{counted(self._scans, 'scan')}, {self._lost} lost{more}{where}")
 
 
 class Columns:

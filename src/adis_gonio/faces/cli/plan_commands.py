@@ -300,7 +300,7 @@ def simulate_command(*, output: Path, date: datetime | None, **options: Any) -> 
             with replacing(output) as temporary:
                 write_samples_csv(load_session(archive), temporary)
     if not complete:  # only Ctrl-C ends a simulation early
-        click.echo(f"{output}: {done} of {counted(len(positions), 'dwell')}", err=True)
+        say(f"{output}: {done} of {counted(len(positions), 'dwell')}")
         raise KeyboardInterrupt
     report_written(output, counted(done, "dwell"))
 

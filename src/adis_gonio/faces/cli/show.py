@@ -192,7 +192,7 @@ def write_page(output: Path, text: str) -> None:
 
 def report_written(path: Path | str, content: str = "") -> None:
     """Report on standard error that a file was written, with `content` or, if this is empty, its size."""
-    click.echo(f"written: {path}, {content or f'{Path(path).stat().st_size // 1024 + 1} kB'}", err=True)
+    say(f"written: {path}, {content or f'{Path(path).stat().st_size // 1024 + 1} kB'}")
 
 
 def print_json(document: Any) -> None:
