@@ -1,6 +1,8 @@
 """A command imports the libraries that it needs, and no library that takes longer than its work."""
 
+import importlib
 import json
+import py_compile
 import subprocess
 import sys
 from pathlib import Path
@@ -59,3 +61,17 @@ def test_report_imports_no_statistics_and_no_signal_processing(session: Path, tm
     modules = imported_by("report", str(session), "-o", str(tmp_path / "page.html"))
     assert "adis_gonio.tracing.trace" in modules
     assert not {"scipy.stats", "scipy.signal"} & modules
+
+
+def test_a_truncated_compiled_module_is_no_stop_by_the_operator(tmp_path, monkeypatch, capsys):
+    source = tmp_path / "module_that_was_cut.py"
+    source.write_text("NUMBERS = (1, 2, 3)\n", encoding="utf-8")
+    compiled = Path(str(py_compile.compile(str(source))))
+    compiled.write_bytes(compiled.read_bytes()[:-20])
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(cli.app, "get_command", lambda *_: importlib.import_module(source.stem))
+    assert cli.main(["plan"]) == 1
+    assert capsys.readouterr().err.strip() == f"adis-gonio: {compiled}: damaged; delete this file"
+    # Without the file the module is compiled again.
+    compiled.unlink()
+    assert importlib.import_module(source.stem).NUMBERS == (1, 2, 3)

@@ -85,7 +85,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(" ".join(error.format_message().split()), error.exit_code)
     except AdisGonioError as error:
         return _fail(f"{error}{_recording_hint(error)}", error.exit_code)
-    except (KeyboardInterrupt, click.Abort):
+    except (KeyboardInterrupt, click.Abort) as error:
+        # click takes the EOFError of a truncated .pyc for the end of input; prompts here raise none.
+        if isinstance(error.__cause__, EOFError):
+            import traceback
+
+            *_, (frame, _) = traceback.walk_tb(error.__cause__.__traceback__)
+            return _fail(f"{frame.f_locals['bytecode_path']}: damaged; delete this file", 1)
         return _fail("stopped by the operator; what was recorded is kept", 130)
     except BrokenPipeError:
         # The reader of the output has gone; keep the interpreter from complaining when it exits.
