@@ -23,6 +23,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -319,6 +320,10 @@ def main() -> int:
     )
     parser.add_argument("--without-trace", action="store_true", help="the peers only")
     options = parser.parse_args()
+    packages = {"scikit-learn": "sklearn", "pysindy": "pysindy"}
+    missing = [name for name, module in packages.items() if find_spec(module) is None]
+    if missing:
+        raise SystemExit(f"{' and '.join(missing)} not installed: pip install {' '.join(missing)}")
 
     behind = []
     head = ("kind", "method", "right", "false", "held-out", "its 95 %", "seconds")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import speed_ratios
+import trace_peers
 from speed import fits, growth, streams
 from speed.tedaldi import calibrate
 from speed.timing import DisagreementError, compare, require
@@ -142,3 +143,12 @@ def test_the_script_prints_one_table():
     assert "numpy" in head
     assert columns.startswith("| benchmark | baseline | its time over ours")
     assert row.count("|") == columns.count("|")
+
+
+@pytest.mark.parametrize("missing", [("sklearn", "pysindy"), ("pysindy",)])
+def test_the_peers_of_the_trace_name_the_packages_to_install(monkeypatch, missing):
+    monkeypatch.setattr(trace_peers, "find_spec", lambda name: None if name in missing else name)
+    monkeypatch.setattr(sys, "argv", ["trace_peers.py"])
+    names = " ".join({"sklearn": "scikit-learn"}.get(name, name) for name in missing)
+    with pytest.raises(SystemExit, match=f"not installed: pip install {names}$"):
+        trace_peers.main()
