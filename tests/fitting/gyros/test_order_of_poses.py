@@ -44,8 +44,11 @@ def test_a_warm_up_is_named_and_a_shuffled_order_without_one_is_not():
     z = np.sort(z)[::-1] + rng.normal(0, 0.15, 14)
     up = around(np.clip(z, -1, 1))
     warm = 0.4 * np.exp(-DWELL_S * 2 * np.arange(14) / 60)
-    warnings = fit(session_of(up, warm, rng), part="gyro").warnings
-    assert any("a warm-up of the zero rates is in the model" in text for text in warnings)
+    found = fit(session_of(up, warm, rng), part="gyro")
+    assert any("a warm-up of the zero rates is in the model" in text for text in found.warnings)
+    for axis in "xyz":
+        zero = found[f"gyro_bias_{axis}"]
+        assert abs(zero.value - warm.mean()) < zero.U < 0.05
     both = np.concatenate([np.eye(3), -np.eye(3)])
     mixed = np.concatenate([both, both[::-1], both[[2, 5, 0, 3, 1, 4]]])
     assert not order(session_of(mixed, np.zeros(18), rng))

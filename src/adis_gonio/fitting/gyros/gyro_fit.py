@@ -312,11 +312,10 @@ def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
         apart = np.array([other[key] for key in names]) - values
         covariance = covariance + share / sum(odds.values()) * np.outer(apart, apart)
     fit, inflation = best.fit, {axis: own for axis, (own, _) in best.inflation.items()}
-    stated = zip(
-        names, values.tolist(), np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist(), strict=True
-    )
+    u = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
     parameters = {
-        name: Value(value, u, UNIT_OF[name], best.inflation[_gyro_of(name)][1]) for name, value, u in stated
+        name: Value(value, own, UNIT_OF[name], best.inflation[_gyro_of(name)][1])
+        for name, value, own in zip(names, values.tolist(), u, strict=True)
     }
     turned = data.conditions.rate_dps
     temperature = data.conditions.temperature_c
@@ -436,13 +435,15 @@ class _Model:
         rate is its mean over the dwells. Fixed parameters have the values of perfect gyros.
         """
         factor = np.sqrt([self.inflation.get(_gyro_of(name), (1.0, 0.0))[0] for name in self.names])
-        drifts = np.flatnonzero(~self.stated)
         mean = np.eye(len(self.names))
-        mean[:3, drifts] = self.fit.columns[self.rests].mean(axis=0)[:, drifts]
+        mean[:3, ~self.stated] = self.fit.columns[self.rests].mean(axis=0)[:, ~self.stated]
         information = self.fit.jacobian.T @ self.fit.jacobian
         covariance = determination.covariance(information, self.free, np.zeros((len(mean), 0)))
         covariance = mean @ (covariance * np.outer(factor, factor)) @ mean.T
-        values = mean @ self.fit.values.parameters
+        values = self.fit.values.parameters.copy()
+        # The readings are not linear in a time constant: take the drift itself, not its derivatives.
+        for index in [k for k, term in enumerate(self.terms) if term.label not in CALIBRATED]:
+            values[:3] += self.fit.added(index)[self.rests].mean(axis=0)
         names, stated, covariance = stated_parameters(self.names, values, covariance, self.stated)
         # All gains share the error of the time base.
         gains = np.where([name.startswith("gyro_scale_") for name in names], TIME_BASE_U * stated, 0.0)
