@@ -337,7 +337,8 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
             raise UsageError("the session does not state the contents of the gyro offset registers")
         now = checked_offsets(offsets_lsb)
         moved = GYRO_OFFSET_DPS * (np.array(now) - np.array(self.offsets_lsb))
-        return replace(self._with_bias_moved(moved), offsets_lsb=now)
+        added = {f"gyro_bias_{axis}": float(by) for axis, by in zip(AXES, moved, strict=True)}
+        return replace(self, parameters=self._moved(added), offsets_lsb=now)
 
     def as_written(self, where: Provenance | None) -> GyroCalibration:
         """Return a calibration adapted to the offsets that were written to the chip after its session.
@@ -393,10 +394,6 @@ class GyroCalibration(Coefficients, eq=False, kw_only=True):
         )
         assumed = tuple(name for name in self.assumed if name not in names)
         return replace(self, parameters=parameters, covariance=covariance, assumed=assumed)
-
-    def _with_bias_moved(self, by_dps: Floats) -> GyroCalibration:
-        added = {f"gyro_bias_{axis}": float(by) for axis, by in zip(AXES, by_dps, strict=True)}
-        return replace(self, parameters=self._moved(added))
 
     # -- computation ------------------------------------------------------------------------------
 

@@ -84,7 +84,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except click.ClickException as error:
         return _fail(" ".join(error.format_message().split()), error.exit_code)
     except AdisGonioError as error:
-        return _fail(f"{error}{_recording_hint(error)}", error.exit_code)
+        from_device = isinstance(error, BusTimeoutError | ProtocolError | ChipError)
+        hint = " (to report it: repeat it with record:run.rec: before the URL and attach run.rec)"
+        return _fail(f"{error}{hint if from_device else ''}", error.exit_code)
     except (KeyboardInterrupt, click.Abort) as error:
         # click takes the EOFError of a truncated .pyc for the end of input; prompts here raise none.
         if isinstance(error.__cause__, EOFError):
@@ -109,13 +111,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         where = f"{error.filename}: " if error.filename else ""
         return _fail(f"{where}{error.strerror or error}", 1)
     return status if isinstance(status, int) else 0
-
-
-def _recording_hint(error: AdisGonioError) -> str:
-    """Return advice to record the frames of the command, if the error came from a device; else empty."""
-    if not isinstance(error, BusTimeoutError | ProtocolError | ChipError):
-        return ""
-    return " (to report it: repeat it with record:run.rec: before the URL and attach run.rec)"
 
 
 def _fail(message: str, status: int) -> int:
