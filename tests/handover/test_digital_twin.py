@@ -12,7 +12,8 @@ from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import in_mg, readings_of
 from adis_gonio.fitting.estimation.terms import Basis, NamelessTerm
 from adis_gonio.handover.digital_twin import LikeWorld, compare, noise_of, period_of, simulate_like
-from adis_gonio.model.records import Dwell
+from adis_gonio.model.records import Dwell, Session
+from adis_gonio.record.samples_writer import write_samples_csv
 from adis_gonio.tracing.named_candidates import named_terms
 from recordings import recording
 
@@ -158,6 +159,51 @@ def test_the_twin_of_a_real_recording_has_its_noise():
     assert twin.sensor == "adis16350"
     found = compare(session, twin, result.fits[-1])
     assert found.allan_ratio == pytest.approx(1, abs=0.25)
+
+
+@pytest.fixture
+def precise():
+    """Ten positions of a generic sensor whose noise is a tenth of a step of an ADIS16354."""
+    rng = np.random.default_rng(1)
+    angle_deg = np.arange(0.0, 360.0, 36.0)
+    gravity_mg = 1000 * np.stack([np.cos(np.radians(angle_deg)), -np.sin(np.radians(angle_deg))], axis=1)
+    dwells = tuple(
+        Dwell(
+            k,
+            5.0 * k + np.arange(200) * 0.01,
+            reading + [60.0, -90.0] + 0.05 * rng.standard_normal((200, 2)),
+            angle_deg=float(angle),
+        )
+        for k, (angle, reading) in enumerate(zip(angle_deg, gravity_mg, strict=True))
+    )
+    return Session(dwells=dwells, sensor="generic", accel_unit="mg", fixture_sigma_deg=0.001)
+
+
+def test_the_twin_of_a_generic_sensor_has_no_steps_of_another_part(precise, tmp_path):
+    result = trace(precise)
+    twin = simulate_like(precise, result.fits[-1], seed=2)
+    assert (twin.sensor, twin.accel_unit) == ("generic", "mg")
+    assert twin.dwells[3].accel.std(axis=0) == pytest.approx([0.05, 0.05], rel=0.2)
+    assert twin.dwells[3].accel.mean(axis=0) == pytest.approx(precise.dwells[3].accel.mean(axis=0), abs=0.3)
+    assert trace(twin).within == ()
+    found = compare(precise, twin, result.fits[-1])
+    assert found.allan_ratio == pytest.approx(1, abs=0.05)
+    assert found.agrees
+    # As a file, too.
+    write_samples_csv(twin, tmp_path / "twin.csv")
+    assert load_session(tmp_path / "twin.csv").dwells[3].accel.std(axis=0)[0] == pytest.approx(
+        0.05, rel=0.2
+    )
+
+
+def test_the_twin_of_a_generic_sensor_follows_errors_beyond_its_noise(precise):
+    # The model without a bias misses the readings by more than 1000 times their noise.
+    fit = Fit.begin(readings_of(precise)).refit()
+    twin = simulate_like(precise, fit, seed=2)
+    means = np.array([dwell.accel.mean(axis=0) for dwell in twin.dwells])
+    assert np.abs(fit.declared_misfit).max() > 80
+    # Predicted at the declared angles, to first order in the deviation of the angle.
+    assert means == pytest.approx(fit.data.mean - fit.declared_misfit, abs=5.5)
 
 
 def test_simulate_like_writes_the_twin_as_a_samples_csv(capsys, short, tmp_path):

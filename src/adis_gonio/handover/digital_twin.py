@@ -26,6 +26,7 @@ from adis_gonio.model.records import STANDARD_GRAVITY_MPS2, Dwell, Session
 from adis_gonio.page.document import Figure, Role, Section, Series, Style, Table, plot
 from adis_gonio.sim.bus import SimBus
 from adis_gonio.sim.noise import Flicker
+from adis_gonio.sim.sampling import Inputs
 from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.world import World
 from adis_gonio.tracing.trace_result import TraceResult
@@ -172,25 +173,34 @@ class LikeWorld(World):
     noise : SamplesNoise
         Settings that imitate the noise of the samples.
     sensor : str
-        Variant to simulate; any other sensor is simulated as an ADIS16354.
+        Variant to simulate. Any other sensor is simulated as an ADIS16354 that measures the distance from
+        the mean reading of the dwell, magnified so that its steps are finer than the noise.
     seed : int
         Seed of the noise and of random errors.
     offset_s : float
         Time of the simulation at which the session begins.
+
+    Attributes
+    ----------
+    zero_mg : (3,) float
+        Reading that is subtracted before the magnification.
+    magnified : float
+        Factor on the readings minus `zero_mg`; 1 for a variant.
     """
 
     def __init__(self, fit: Fit, noise: SamplesNoise, *, sensor: str, seed: int, offset_s: float) -> None:
         data = self._data = fit.data
         self._offset_s = offset_s
-        effects = [
-            (
-                (AngleTerm if term.enters_angle else TermEffect)(term=term, data=data, offset_s=offset_s),
-                values,
-            )
-            for term, values in zip(fit.terms, fit.values.terms, strict=True)
-        ]
-        part = sensor if sensor in VARIANTS else "adis16354"
+        effects = []
+        for term, values in zip(fit.terms, fit.values.terms, strict=True):
+            kind = AngleTerm if term.enters_angle else TermEffect
+            effects.append((kind(term=term, data=data, offset_s=offset_s), values))
+        part = VARIANTS.get(sensor, VARIANTS["adis16354"])
         super().__init__(_settings(fit), part=part, seed=seed, effects=effects)
+        # Noise like the simulated part's hides its steps; its range is several times 1000 mg.
+        noise_mg, error_mg = noise.white_mg.mean(), np.abs(fit.declared_misfit).max()
+        size = max(float(noise_mg / part.performance.noise_mg), float(error_mg / 1000), 0.01)
+        self.zero_mg, self.magnified = np.zeros(3), 1.0 if sensor in VARIANTS else 1 / size
         # Axes without samples get the mean noise.
         self._white_sd[:3] = noise.white_mg.mean()
         self._white_sd[: data.axes] = noise.white_mg
@@ -201,19 +211,21 @@ class LikeWorld(World):
         self._flicker = Flicker(floor, np.random.default_rng(own[1]), start_s=-10.0)
         self._temperature_offset = np.zeros(3)
 
+    def sample(self, time_s: Floats) -> Inputs:
+        """Return the physical inputs of the chip at increasing times (n,) in s."""
+        inputs = super().sample(time_s)
+        return replace(inputs, accel_mg=(inputs.accel_mg - self.zero_mg) * self.magnified)
+
     def temperature_c(self, time_s: Floats) -> Floats:
         """Return the temperature (n,) in °C that the session measured; 25 °C if it was not recorded."""
-        history = self._data.conditions.temperature_history
-        if history is None:
-            return np.full(len(time_s), 25.0)
+        history = self._data.conditions.temperature_history or (np.zeros(1), np.full(1, 25.0))
         return np.interp(time_s - self._offset_s, *history)
 
     def supply_v(self, time_s: Floats) -> Floats:
         """Return the supply voltage (n,) in V that the session measured; 5 V if it was not recorded."""
-        conditions = self._data.conditions
-        if conditions.supply_v is None:
-            return np.full(len(time_s), 5.0)
-        return np.interp(time_s - self._offset_s, conditions.time_s, conditions.supply_v)
+        known = self._data.conditions
+        supply = np.full(len(known), 5.0) if known.supply_v is None else known.supply_v
+        return np.interp(time_s - self._offset_s, known.time_s, supply)
 
 
 _MOVE_DPS = 1e5
@@ -278,6 +290,7 @@ def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
     bus = SimBus(world=world)
     begin_s = float(session.dwells[0].time_s[0])
     period_s = sample_period_s(noise.smpl_prd)
+    generic = session.sensor not in VARIANTS
     dwells: list[Dwell] = []
     with Adis16354(bus, world.variant, check=False) as sensor:
         sensor.configure(smpl_prd=noise.smpl_prd, filter_m=noise.filter_m, data_ready=True)
@@ -289,15 +302,17 @@ def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
                 psi = fit.values.base[0] + fit.values.attitude[k]
                 gravity = [np.cos(psi), np.sin(psi), 0.0] if data.planar else fit.values.attitude[k]
                 bus.stage.orient([float(value) for value in gravity])
+            world.zero_mg[: data.axes] = data.mean[k] if generic else 0.0
             start_s = float(dwell.time_s[0]) - begin_s + _OPENING_S
             bus.sleep_s(max(start_s - bus.now_s(), sensor.configuration().settling_s))
             count = max(2, round(float(dwell.time_s[-1] - dwell.time_s[0]) / period_s) + 1)
             block = sensor.read_scans(count, _REGISTERS, block_scans=_BLOCK_SCANS)
+            accel = block.values()[:, :3] / world.magnified + world.zero_mg if generic else block.numbers()
             dwells.append(
                 replace(
                     dwell,
                     time_s=block.time_s - _OPENING_S + begin_s,
-                    accel=block.numbers()[:, : dwell.accel.shape[1]].astype(np.float64),
+                    accel=accel[:, : dwell.accel.shape[1]].astype(np.float64),
                     gyro=None,
                     temperature_c=block.temperature_c if dwell.temperature_c is not None else None,
                     supply_v=block.supply_v if dwell.supply_v is not None else None,
@@ -306,8 +321,7 @@ def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
     return replace(
         session,
         dwells=tuple(dwells),
-        sensor=world.variant.name,
-        accel_unit="lsb",
+        accel_unit="mg" if generic else "lsb",
         title=f"twin of {session.title or session.source}",
         source="",
         notes=(),
