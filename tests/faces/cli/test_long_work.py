@@ -172,10 +172,12 @@ def test_ctrl_c_in_a_simulation_keeps_what_was_measured_and_counts_it(tmp_path, 
 def program(arguments, room=None):
     """The command line as a process of its own, which heeds Ctrl-C whatever its parent does.
 
-    `room` is the size in bytes beyond which no file grows.
+    `room` is the size in bytes beyond which no file grows. The program then keeps no compiled modules:
+    Python would write truncated ones, without an error, which no later process can read.
     """
     code = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
     if room is not None:
+        code += "sys.dont_write_bytecode = True; "
         code += f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room})); "
     code += "from adis_gonio.faces.cli import main; sys.exit(main(sys.argv[1:]))"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
