@@ -52,3 +52,14 @@ def test_a_warm_up_is_named_and_a_shuffled_order_without_one_is_not():
     both = np.concatenate([np.eye(3), -np.eye(3)])
     mixed = np.concatenate([both, both[::-1], both[[2, 5, 0, 3, 1, 4]]])
     assert not order(session_of(mixed, np.zeros(18), rng))
+
+
+def test_u_contains_a_typical_g_sensitivity_that_the_poses_do_not_show():
+    # With each arrow up only, a zero rate may as well be a g-sensitivity alike along all axes.
+    up = np.tile(np.eye(3), (3, 1))
+    found = fit(session_of(up, np.zeros(9), np.random.default_rng(3)), part="gyro")
+    assert found.undetermined
+    for axis in "xyz":
+        zero = found[f"gyro_bias_{axis}"]
+        assert 0.05 < zero.U < 0.3
+        assert abs(zero.value) < zero.U

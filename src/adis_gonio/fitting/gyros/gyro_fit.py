@@ -317,7 +317,6 @@ def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
         name: Value(value, own, UNIT_OF[name], best.inflation[_gyro_of(name)][1])
         for name, value, own in zip(names, values.tolist(), u, strict=True)
     }
-    turned = data.conditions.rate_dps
     temperature = data.conditions.temperature_c
     return GyroFit(
         parameters=parameters,
@@ -326,7 +325,7 @@ def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
         dof=int(fit.dof),
         residual_dps=fit.misfit,
         positions=tuple(data.position.tolist()),
-        turns=0 if turned is None else int(turned.any(axis=1).sum()),
+        turns=len(data) - len(best.rests),
         warnings=(
             *data.notes,
             *_warnings(data, best.lost, inflation),
@@ -439,11 +438,13 @@ class _Model:
         mean[:3, ~self.stated] = self.fit.columns[self.rests].mean(axis=0)[:, ~self.stated]
         information = self.fit.jacobian.T @ self.fit.jacobian
         covariance = determination.covariance(information, self.free, np.zeros((len(mean), 0)))
-        covariance = mean @ (covariance * np.outer(factor, factor)) @ mean.T
-        values = self.fit.values.parameters.copy()
-        # The readings are not linear in a time constant: take the drift itself, not its derivatives.
-        for index in [k for k, term in enumerate(self.terms) if term.label not in CALIBRATED]:
-            values[:3] += self.fit.added(index)[self.rests].mean(axis=0)
+        own = [(p.typical, not p.shape) for term in self.terms for p in term.effect.parameters]
+        typical, linear = np.array([(0.0, True)] * (len(mean) - len(own)) + own).T
+        # Shift of the free parameters if a fixed parameter has its typical size.
+        shift = mean @ covariance @ (information * np.where(self.free | ~self.stated, 0.0, typical))
+        covariance = mean @ (covariance * np.outer(factor, factor)) @ mean.T + shift @ shift.T
+        # A drift is proportional to its amplitudes, and not to its time constant.
+        values = mean @ (self.fit.values.parameters * linear)
         names, stated, covariance = stated_parameters(self.names, values, covariance, self.stated)
         # All gains share the error of the time base.
         gains = np.where([name.startswith("gyro_scale_") for name in names], TIME_BASE_U * stated, 0.0)
@@ -459,10 +460,8 @@ class _Model:
     @cached_property
     def stated(self) -> NDArray[np.bool_]:
         """Mask (p,) of the parameters that a result states: all but those of a drift."""
-        drifts = {
-            p.name for term in self.terms if term.label not in CALIBRATED for p in term.effect.parameters
-        }
-        return np.array([name not in drifts for name in self.names])
+        own = [term.label in CALIBRATED for term in self.terms for _ in term.effect.parameters]
+        return np.array([True] * (len(self.names) - len(own)) + own)
 
     @property
     def rests(self) -> NDArray[np.intp]:

@@ -193,8 +193,7 @@ def gyro_dwells_of(session: Session) -> GyroDwells:
             " dwells: repeated averages do not show their noise; give all samples"
         )
     noise = noise_of_means(rows, scale)
-    stated = 0.0 if variant is None else variant.performance.gyro_instability_dps**2
-    allan = flicker_of(noise, stated)
+    allan = flicker_of(noise, variant.performance.gyro_instability_dps**2 if variant else 0.0)
     configuration = session.facts.get("configuration") or {}
     counts = np.array([len(dwell) for dwell in dwells], dtype=float)
     period = turn_integration.period_of([dwell.time_s for dwell in dwells])
