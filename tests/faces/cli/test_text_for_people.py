@@ -75,6 +75,17 @@ def test_warnings_of_a_stream_are_folded_on_a_terminal(monkeypatch):
     assert max(map(len, text.splitlines())) < 80
 
 
+def test_conclusions_on_the_paper_are_folded_on_a_terminal(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setattr("adis_gonio.faces.cli.show.Console.is_terminal", True)
+    monkeypatch.setattr("adis_gonio.handover.paper_study.reproduce", lambda *_: None)
+    monkeypatch.setattr("adis_gonio.handover.paper_study.verdicts", lambda _: [MIXED, "Short."])
+    assert main(["paper"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert " ".join(lines) == f"{MIXED} Short."
+    assert max(map(len, lines)) < 80
+
+
 @pytest.fixture(scope="module")
 def session(tmp_path_factory):
     path = tmp_path_factory.mktemp("text") / "a.session"

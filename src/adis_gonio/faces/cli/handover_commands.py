@@ -114,4 +114,4 @@ def paper_command(*, output: Path | None, as_json: bool, seed: int, sessions: in
         show.print_json(done.as_dict())
     elif output is None:
         for sentence in verdicts(done):
-            click.echo(sentence)
+            show.say(sentence, err=False)
