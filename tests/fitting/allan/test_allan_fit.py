@@ -187,6 +187,21 @@ def test_a_gap_divides_a_record_and_missing_samples_are_said():
     assert any("40 samples of 4096 are missing" in note for note in notes)
 
 
+def test_lost_samples_of_a_filtered_sensor_do_not_look_like_noise():
+    errors = []
+    for seed in range(4):
+        case = Case({"white": 0.05}, 8192, 2)
+        rows, kept = samples(case, 70 + seed), np.random.default_rng(seed).random(8192) > 0.02
+        kept[1:] |= ~kept[:-1]  # single samples are lost
+        dwell = Dwell(0, 0.01 * np.flatnonzero(kept), np.zeros((kept.sum(), 3)), gyro=rows[kept])
+        found = fit_allan(Session((dwell,), facts={"configuration": {"filter_m": 2}}))
+        assert found.samples == (8192,)
+        errors += [(axis["white"].value.value - 0.05) / axis["white"].value.u for axis in found.axes]
+    # If the samples are joined across the losses, the mean error is two u.
+    assert abs(np.mean(errors)) < 1
+    assert np.std(errors) < 2
+
+
 def test_slow_noise_that_a_record_cannot_name_is_said_to_be_there():
     case = Case({"white": 0.02, "walk": 0.03}, 2048, 0)
     axes = [axis for seed in range(6) for axis in known(case, samples(case, 60 + seed)).axes]

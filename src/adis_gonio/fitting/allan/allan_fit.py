@@ -362,7 +362,7 @@ def rests_of(
         raise DataError(f"{where}: nothing in it is at rest; record the part lying still")
     unit, scale = _unit(session, part, where)
     period_s = _period([dwell for dwell, _ in held], where)
-    records, positions, lost = _records(held, period_s, where)
+    records, positions, lost = _records(held, period_s, (filter_m or 0) > 1, where)
     if not records:
         raise DataError(
             f"{where}: no rest has {counted(LEAST, 'sample')} ({LEAST * period_s:.3g} s) without a gap, as"
@@ -409,11 +409,12 @@ def rests_of(
 
 
 def _records(
-    held: list[tuple[Dwell, Floats]], period_s: float, where: str
+    held: list[tuple[Dwell, Floats]], period_s: float, filtered: bool, where: str
 ) -> tuple[list[Floats], list[int], int]:
     """Split the samples of dwells at gaps into records without gaps.
 
-    A gap is 2.5 sample periods `period_s` or longer; `where` names the session in messages.
+    A gap is 2.5 sample periods `period_s` or longer; `where` names the session in messages. Samples lost in
+    shorter gaps are interpolated if they are `filtered`: a filter of four taps makes neighbours alike.
 
     Returns the records, the number of the dwell of each, and the number of samples lost in shorter gaps.
     """
@@ -423,13 +424,17 @@ def _records(
             raise DataError(f"{where}: dwell {dwell.position} holds NaN or infinity")
         gaps = np.flatnonzero(np.diff(dwell.time_s) > _GAP * period_s) + 1
         for first, last in pairwise([0, *gaps.tolist(), len(dwell)]):
-            time_s, size = dwell.time_s[first:last], last - first
-            lost += max(0, round(float(time_s[-1] - time_s[0]) / period_s) + 1 - size)
-            if size >= LEAST:
+            time_s, rows = dwell.time_s[first:last], series[first:last]
+            missing = max(0, round(float(time_s[-1] - time_s[0]) / period_s) + 1 - len(rows))
+            lost, after = lost + missing, np.flatnonzero(np.diff(time_s) > _EVEN * period_s) + 1
+            # Times of a coarse clock do not show which samples are missing.
+            if filtered and len(after) == missing:
+                rows = np.insert(rows, after, (rows[after - 1] + rows[after]) / 2, axis=0)
+            if (size := len(rows)) >= LEAST:
                 if size >= _FAST:
                     # The largest size for which the Fourier transform is fast.
                     size = next(n for n in range(size, 0, -1) if fft.next_fast_len(n, real=True) == n)
-                records.append(np.asarray(series[first : first + size], np.float64))
+                records.append(np.asarray(rows[:size], np.float64))
                 positions.append(dwell.position)
     return records, positions, lost
 
