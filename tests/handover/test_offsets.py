@@ -47,6 +47,11 @@ def test_the_lines_are_what_the_registers_command_takes_and_the_bias_is_gone(cap
     assert "−26" in capsys.readouterr().out
 
 
+def test_an_uncertainty_keeps_its_second_digit():
+    word = replace(offset_words(calibration(PLANE))[0], u=0.1004)
+    assert str(word).endswith("(u 0.10)")
+
+
 def test_a_file_that_is_neither_calibration_nor_session_is_refused(tmp_path):
     path = tmp_path / "letter.txt"
     path.write_text("Dear sir")

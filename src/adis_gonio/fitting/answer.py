@@ -159,7 +159,7 @@ def recommend(
         reasons.append("no method sees the biases in these positions, which are taken as zero")
     if scored:
         own = scores[result.method]
-        error = f"{_rms(own):.2g}{' mg' if own.angle_rms_deg is None else '°'} rms"
+        error = f"{format_number(_rms(own), 2)}{' mg' if own.angle_rms_deg is None else '°'} rms"
         how = "and none is shown to predict them better" if len(good) > 1 else "the best"
         reasons.append(
             f"it predicts the {counted(own.dwells, 'dwell')}, each left out of its fit, with {error}, {how}"

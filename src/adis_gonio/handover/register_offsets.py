@@ -7,7 +7,7 @@ from pathlib import Path
 
 from adis_gonio.base.errors import AdisGonioError, FitError
 from adis_gonio.base.jsonable import JsonRecord
-from adis_gonio.base.numbers import signed
+from adis_gonio.base.numbers import format_number, signed
 from adis_gonio.calibrate.calibration import Calibration, Coefficient, Coefficients
 from adis_gonio.calibrate.gyro_calibration import GYRO_OFFSET_DPS, GyroCalibration
 from adis_gonio.device.sensor.registers import VARIANTS, register
@@ -55,7 +55,7 @@ class OffsetWord(JsonRecord):
         return self.bias + (self.number - (self.before or 0)) * self.lsb
 
     def __str__(self) -> str:
-        u = "" if self.u is None else f" (u {self.u:.2g})"
+        u = "" if self.u is None else f" (u {format_number(self.u, 2)})"
         return f"{self.number} = {signed(self.value, digits=4)} {self.unit}{u}"
 
 
@@ -181,7 +181,7 @@ def _lines(words: Sequence[OffsetWord], label: str, digits: int, of: Coefficient
     if words[0].before is None:
         lines.append("# The session does not state the contents of these registers: the numbers assume 0.")
     for word in words:
-        u = "unknown" if word.u is None else f"{word.u:.2g} {word.unit}"
+        u = "unknown" if word.u is None else f"{format_number(word.u, 2)} {word.unit}"
         held = "" if word.before is None else f", {word.before} before"
         bias, left = (f"{signed(value, digits)} {word.unit}" for value in (word.bias, word.remainder))
         lines += [f"# {label} {bias} (u {u}), {left} left{held}", f"{word.name}={word.number}"]

@@ -100,7 +100,7 @@ def summary(*verdicts: Verdict, unrestored: list[str] | None = None) -> Bringup:
             [Verdict.DIFFERS, Verdict.NOT_MEASURED],
             ("step 0",),
             True,
-            "No fault was found; differs from the table: step 0; 1 of 2 steps were not measured.",
+            "No fault was found; differs from the table: step 0; 1 of 2 steps not measured.",
         ),
         (
             [Verdict.FAULT, Verdict.DIFFERS, Verdict.FAULT],
@@ -123,7 +123,7 @@ def test_a_register_that_was_not_put_back_spoils_the_bring_up():
     assert summary(Verdict.OK).undone == "nothing was written"
     good, bad = summary(Verdict.OK, unrestored=[]), summary(Verdict.OK, unrestored=["SENS_AVG"])
     assert (good.undone_ok, good.sound) == (True, True)
-    assert "all of 3 registers" in good.undone
+    assert "all 3 registers" in good.undone
     assert (bad.undone_ok, bad.sound) == (False, False)
     assert "NOT put back: SENS_AVG" in bad.headline
     assert bad.as_dict()["undone"]["verified"] is False

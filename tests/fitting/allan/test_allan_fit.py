@@ -11,6 +11,8 @@ from scipy import stats
 
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.fitting.allan import fit_allan
+from adis_gonio.fitting.allan.allan_fit import cells
+from adis_gonio.fitting.allan.spectral_likelihood import NoiseParameter
 from adis_gonio.model.records import Dwell, Session
 from allan_statistics import Case, noise, samples, session_of
 from recordings import recording
@@ -211,6 +213,13 @@ def test_slow_noise_that_a_record_cannot_name_is_said_to_be_there():
     assert unnamed
     for axis in unnamed:
         assert any("too short to separate bias instability from random" in note for note in axis.notes)
+
+
+def test_a_coefficient_is_shown_to_the_second_digit_of_its_uncertainty():
+    walk = NoiseParameter("walk", "rate_random_walk", "dps/rt_s", 0.01998, 0.0050, 0.00833, 0.0291, 1e-9)
+    _, value, u, _, dof, _ = cells(walk)
+    assert (value, u, dof) == ("0.0200", "0.0050", "8.0")
+    assert cells(replace(walk, u=1e-5))[1:5:3] == ("0.019980", "> 10⁴")
 
 
 def test_units_are_the_files():

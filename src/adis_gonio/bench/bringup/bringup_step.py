@@ -314,7 +314,7 @@ class Bringup:
             return "nothing was written"
         if self.undo.unrestored:
             return f"NOT put back: {', '.join(self.undo.unrestored)}; switch the supply off and on"
-        return f"all of {len(self.undo.rows)} registers were read back with their original numbers"
+        return f"all {len(self.undo.rows)} registers were read back with their original numbers"
 
     def row(self, name: str) -> StepResult:
         """Return the result of a step by the step's name."""
@@ -345,7 +345,7 @@ class Bringup:
         if differs:
             parts.append(f"differs from the table: {', '.join(differs)}")
         if left:
-            parts.append(f"{left} of {len(self.rows)} steps were not measured")
+            parts.append(f"{left} of {len(self.rows)} steps not measured")
         if not self.undone_ok:
             parts.append(self.undone)
         text = "; ".join(parts)

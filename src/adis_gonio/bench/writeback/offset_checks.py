@@ -22,7 +22,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats, central_differences
 from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.jsonable import NAMED_BY_UNIT, JsonRecord
-from adis_gonio.base.numbers import format_fixed, signed
+from adis_gonio.base.numbers import format_fixed, format_number, signed
 from adis_gonio.bench.writeback.offset_plan import UNITS, WritePlan, plan_gyro_offsets, plan_offsets
 from adis_gonio.calibrate.calibration import STEP
 from adis_gonio.device.sensor.driver import Adis16354
@@ -213,7 +213,7 @@ class Agreement(JsonRecord):
         unit = UNITS[self.unit]
         each = zip(self.names, self.measured - self.expected, self.u, self.off, strict=True)
         return ", ".join(
-            f"{name} {signed(by, 3)} {unit} (u {u:.2g} {unit})"
+            f"{name} {signed(by, 3)} {unit} (u {format_number(u, 2)} {unit})"
             for name, by, u, off in each
             if abs(off) > SIGMAS
         )
@@ -222,7 +222,7 @@ class Agreement(JsonRecord):
         unit, places = UNITS[self.unit], 2 if self.unit == "mg" else 3
         figures = [
             f"{name} {format_fixed(m, places)} {unit}, expected {format_fixed(e, places)} {unit}"
-            f" (u {u:.2g} {unit})"
+            f" (u {format_number(u, 2)} {unit})"
             for name, m, e, u in zip(self.names, self.measured, self.expected, self.u, strict=True)
         ]
         return f"{self.what}: {'; '.join(figures)}"

@@ -9,7 +9,7 @@ import click
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import json_text
-from adis_gonio.base.numbers import signed, use_minus
+from adis_gonio.base.numbers import format_number, signed, use_minus
 from adis_gonio.faces.cli import options as option
 from adis_gonio.faces.cli.show import console, print_json, print_table, report_written, say
 from adis_gonio.faces.cli.terminal import on_terminal
@@ -274,7 +274,7 @@ def _print_plan(plan: WritePlan) -> None:
         moved, bias, after = (
             f"{signed(value, places)} {unit}" for value in (axis.effect, axis.bias_now, axis.bias_after)
         )
-        u = f"{axis.u:.2g} {unit}"
+        u = f"{format_number(axis.u, 2)} {unit}"
         rows.append(
             (axis.register, use_minus(str(axis.now)), use_minus(str(axis.new)), moved, bias, u, after)
         )

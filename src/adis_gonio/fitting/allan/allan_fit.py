@@ -19,7 +19,7 @@ from adis_gonio.base.arrays import Floats, solvable
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import DataError, UsageError
 from adis_gonio.base.jsonable import HIDDEN, KEYED_BY_NAME, JsonRecord, key
-from adis_gonio.base.numbers import counted, format_number, format_p, format_unit
+from adis_gonio.base.numbers import QuantityRow, counted, format_number, format_p, format_unit
 from adis_gonio.base.uncertainty import INADEQUATE, NORMAL_95, SLOW_NOISE, Value
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.device.sensor.settings import (
@@ -208,7 +208,6 @@ class AllanResult(JsonRecord):
 
 _FEW_DOF = 3.0
 HEAD = ("", "value", "u", "95 % interval", "ν", "unit")
-_MANY_DOF = 9999
 
 
 def name_shown(parameter: NoiseParameter) -> str:
@@ -294,13 +293,14 @@ def missing(parameter: NoiseParameter) -> str:
 
 def cells(parameter: NoiseParameter) -> tuple[str, ...]:
     """Return the table row, with the columns `HEAD`, for a noise process that is present."""
+    row = QuantityRow.of(parameter.name, Value(parameter.likeliest, parameter.u, parameter.unit))
     return (
         name_shown(parameter),
-        format_number(parameter.likeliest, 4),
-        format_number(parameter.u, 2),
+        row.value,
+        row.u,
         f"{format_number(parameter.low)} … {format_number(parameter.high)}",
-        f"> {_MANY_DOF}" if parameter.dof > _MANY_DOF else format_number(parameter.dof, 2),
-        format_unit(parameter.unit),
+        "> 10⁴" if parameter.dof > 1e4 else format_number(parameter.dof, 2),
+        row.unit,
     )
 
 
