@@ -160,7 +160,7 @@ def test_differences_are_named_with_their_unit_and_figures_have_two_decimals_in_
         == "readings: X 10.00 mg, expected 1.00 mg (u 2.0 mg); Y −5.00 mg, expected −5.00 mg (u 0.50 mg)"
     )
     found = Agreement("rates", ("Z",), np.array([0.1]), np.array([-0.4]), np.array([0.1]), "dps")
-    assert found.excess == "Z +0.500 °/s (u 0.1 °/s)"
+    assert found.excess == "Z +0.500 °/s (u 0.10 °/s)"
     assert str(found).startswith("rates: Z 0.100 °/s, expected −0.400 °/s")
 
 
