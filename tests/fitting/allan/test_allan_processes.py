@@ -125,3 +125,24 @@ def test_a_coefficient_on_its_boundary_is_refused_at_half_the_chi_square_chance(
     # At the nominal 10 % level; the boundary mixture is asymptotic, so the claim is "at most".
     assert stats.binom.sf(sum(p < 0.1 for p in p_values) - 1, 300, 0.1) > 0.001
     assert len(filter_weights(0)) == 1
+
+
+class SearchThatMayStopEarly:
+    """A likelihood of θ[1] = 1 ± 0.1 whose maximum depends a little on where the search starts."""
+
+    scale = np.ones(4)
+    best = np.array([0.0, 1.0, 0.0, 0.0])
+
+    def maximum(self, start, fixed):
+        theta = self.best.copy()
+        theta[1] = fixed[1]
+        return theta, ((fixed[1] - 1) / 0.1) ** 2 + 0.2 * (start[1] > 1)
+
+    def u_squared(self, theta, index):
+        return 0.1
+
+
+def test_an_interval_does_not_depend_on_where_a_search_stopped():
+    one = SearchThatMayStopEarly()
+    found = profile(one, one.best, 0.0, 1, "angle_random_walk", "dps/√Hz")
+    assert (found.low, found.high) == pytest.approx((np.sqrt(0.804), np.sqrt(1.196)), abs=2e-3)

@@ -842,12 +842,11 @@ def profile(
     dof = max(sigma**2 / (2 * u**2), 1.0) if sigma > 0 else 1.0
     # With few degrees of freedom the likelihood ratio exceeds χ² by the mean of ln χ² (Bartlett).
     limit = NORMAL_95**2 * (1 + 1 / (3 * dof))
-    others = theta
 
     def beyond(squared: float) -> float:
-        # The square root of the likelihood ratio is almost linear in θ, so that few steps find a root.
-        nonlocal others
-        others, deviance = likelihood.maximum(others, {index: squared})
+        # The square root of the likelihood ratio is almost linear in θ, so that few steps find a root. Each
+        # search starts at the same θ, so that equal arguments give equal values, as a bracket needs.
+        deviance = likelihood.maximum(theta, {index: squared})[1]
         return math.sqrt(max(deviance - least, 0.0)) - math.sqrt(limit)
 
     # The squares may be far below SciPy's absolute tolerance.
