@@ -5,6 +5,7 @@ import html
 import json
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,9 +16,9 @@ from adis_gonio.base.conformity import Tolerance, state_conformity
 from adis_gonio.base.errors import DataError, NotInstalledError, UsageError
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.faces.cli import main
-from adis_gonio.fitting.answer import Answer
+from adis_gonio.fitting.answer import Answer, Score
 from adis_gonio.fitting.estimation.readings import Unit
-from adis_gonio.handover.calibration_report import build_page, certificate_section, facts
+from adis_gonio.handover.calibration_report import build_page, certificate_section, facts, scores_section
 from adis_gonio.model.records import Dwell, Session
 from adis_gonio.record.samples_writer import write_samples_csv
 from adis_gonio.tracing.findings import in_units_of_file, shares
@@ -195,6 +196,27 @@ def test_in_space_the_answer_is_scale_skew_and_bias():
     assert "delta_k" not in answer.values
     assert "angle" not in answer.values
     assert max(map(len, answer.text().splitlines())) <= 80
+
+
+def test_the_certificate_is_traceable_to_declared_angles_only_if_the_fit_uses_them():
+    def trace_line(session, answer):
+        return certificate_section(answer, facts(session)).notes[0]
+
+    in_plane, in_space = planar(), spatial()
+    answer = Answer.of(fit(in_plane))
+    assert "to the stated gravity and to declared angles only" in trace_line(in_plane, answer)
+    assert "to the stated gravity only" in trace_line(in_space, Answer.of(fit(in_space)))
+    turned = replace(answer, result=replace(answer.result, method="free-turn"))
+    assert "to the stated gravity only" in trace_line(in_plane, turned)
+
+
+def test_methods_without_a_score_make_no_table():
+    answer = Answer.of(fit(planar()))
+    assert scores_section(answer).tables[0].rows
+    unscored = replace(answer, scores=dict.fromkeys(answer.scores, Score(None, None, None, None, 0)))
+    section = scores_section(unscored)
+    assert not section.tables
+    assert "cannot be compared" in section.words[0]
 
 
 def test_the_table_of_results_is_no_wider_than_the_page():

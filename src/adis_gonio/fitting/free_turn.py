@@ -512,7 +512,7 @@ def _finished(problem: LeastSquaresProblem, values: Floats, variances: Variances
         ("noise of the accelerometers", "A", np.arange(2 * problem.m), variances.accel_dof),
         ("noise of the gyro", "A", np.arange(2 * problem.m, begin), variances.gyro_dof),
         ("drift of the biases", "A", drifts, variances.drift_dof),
-        ("stated before", "B", priors, math.inf),
+        ("prior", "B", priors, math.inf),
     )
     sources = tuple(
         Source(name, kind, "normal", None, changes[:, one], dof=dof, estimate=k, unit="1")
@@ -670,10 +670,10 @@ def remarks(windows: Windows, psi_rad: Floats, u_phi_deg: float, wanted: int = 0
     return notes
 
 
-WHY = "a free turn without declared angles: gravity and gyro together are all that it has"
+WHY = "no angle is declared: gravity and gyro determine the calibration"
 UNSEEN = (
-    "the angle is counted from the start, the angle alpha; a zero of the stage was not declared",
-    "scale_x and scale_y hold for the stated gravity and a level axis: a turn separates neither from them",
+    "angles count from the start of the turn, which is at alpha; no zero of the stage is declared",
+    "K_x and K_y hold for the stated gravity and a level axis, because a turn shows neither of these",
 )
 """Statements on quantities that no free turn determines."""
 

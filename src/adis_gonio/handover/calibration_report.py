@@ -111,6 +111,7 @@ def certificate_section(
     # For attitudes in space there are no key figures.
     wanted = [name for name in ("delta_k", "delta_phi", "angle") if name in answer.values]
     key = [_large(name, answer.values[name]) for name in wanted if len(wanted) > 1]
+    angles = "and to declared angles " if key and answer.result.method != "free-turn" else ""
     return Section(
         "Certificate",
         key=key,
@@ -122,7 +123,7 @@ def certificate_section(
         ],
         notes=[
             f"Method {answer.title}. U = k·u covers 95 %. The errors apply to the mean of many readings; "
-            "they are traceable to the stated gravity and to declared angles only. The annex follows.",
+            f"they are traceable to the stated gravity {angles}only. The annex follows.",
             *answer.remarks,
         ],
         sheet=True,
@@ -227,7 +228,7 @@ def budget_section(answer: Answer) -> Section:
 def scores_section(answer: Answer) -> Section:
     """Return the section that compares the errors of all methods, each computed on the same readings."""
     head, rows = answer.score_rows()
-    table = Table(head, rows, numeric=tuple(range(1, len(head))), strong=(0,))
+    table = Table(head, rows if head[1:] else [], numeric=tuple(range(1, len(head))), strong=(0,))
     return Section("Methods on the same readings", words=[answer.scored_on], tables=[table])
 
 

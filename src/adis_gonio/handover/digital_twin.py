@@ -445,9 +445,9 @@ def twin_section(session: Session, traced: TraceResult, *, seed: int = 0) -> Sec
     twin = simulate_like(session, traced.fits[-1], seed=seed)
     found = compare(session, twin, traced.fits[-1])
     verdict = (
-        "They agree: the model and the noise explain the measured data."
+        "Both agree: the model and the noise explain the measured data."
         if found.agrees
-        else "They differ: neither the model nor the noise of the readings explains all of the session."
+        else "Both differ: neither the model nor the noise of the readings explains all of the session."
     )
     rows = (
         ("residuals, standard deviation: measured", f"{np.std(found.residual[0]):.2f}"),
@@ -459,8 +459,8 @@ def twin_section(session: Session, traced: TraceResult, *, seed: int = 0) -> Sec
     return Section(
         title="The digital twin against the measured data",
         words=(
-            "The traced model was the world of a simulated sensor, which was measured in the positions and"
-            " at the times of the session. " + verdict,
+            "A simulated sensor with the traced model was measured in the positions and at the times of the"
+            " session. " + verdict,
         ),
         folded=True,
         figures=tuple(_figures(found)),
