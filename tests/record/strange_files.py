@@ -204,7 +204,7 @@ NAMES = (
 )  # fmt: skip
 KEYS = (
     "sensor", "gravity_mps2", "fixture_sigma_deg", "plane", "accel_unit", "gyro_unit", "reading_u_mg",
-    "title",
+    "bias_instability_mg", "title",
     "note", "serial", "x" * 500, "", "__class__", "filter_m", "sample_rate_hz", "recorded_utc",
 )  # fmt: skip
 VALUES = (

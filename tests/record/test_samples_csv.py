@@ -75,6 +75,7 @@ def test_every_key_and_column_is_read(tmp_path):
             "# accel_unit: counts",
             "# gyro_unit: radps",
             "# reading_u_mg: 0.25",
+            "# bias_instability_mg: 0.04",
             "# colour: red",
             "use,time_s,position,angle_deg,approach,ax,ay,az,gx,gy,gz,temp_c,supply_v",
             "fit,0,7,,+1,1,2,3,4,5,6,25,5",
@@ -86,7 +87,8 @@ def test_every_key_and_column_is_read(tmp_path):
     assert session.gravity_mps2 == 9.81
     assert math.isinf(session.fixture_sigma_deg)
     assert session.free_attitudes
-    assert (session.accel_unit, session.gyro_unit, session.reading_u_mg) == ("counts", "radps", 0.25)
+    assert (session.accel_unit, session.gyro_unit) == ("counts", "radps")
+    assert (session.reading_u_mg, session.bias_instability_mg) == (0.25, 0.04)
     assert len(session.notes) == 1
     assert "colour" in session.notes[0]
     a, b, c = session.dwells
@@ -161,6 +163,7 @@ def test_an_angle_written_in_two_ways_is_the_same_angle(tmp_path):
         ("fixture_sigma_deg", "loose"),
         ("reading_u_mg", "0"),
         ("reading_u_mg", "1e300"),
+        ("bias_instability_mg", "0"),
         ("gravity_mps2", "1e-300"),
         ("fixture_sigma_deg", "1e300"),
     ],

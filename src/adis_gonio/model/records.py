@@ -355,6 +355,9 @@ class Session(ComputedOnce):
         without a certificate.
     reading_u_mg : float or None
         Standard uncertainty of the reading of a dwell with a single sample; None if not stated.
+    bias_instability_mg : float or None
+        Measured level of this part's 1/f noise: the square root of its Allan variance. None: the figure of
+        the data sheet, or no 1/f noise for a sensor without a data sheet.
     title, operator, serial, stage, laboratory, customer : str
         Name of the session, the operator, the sensor's serial number, the stage, and for a certificate the
         laboratory and the customer, as written down; each is kept as one printable line.
@@ -383,6 +386,7 @@ class Session(ComputedOnce):
     plane: Plane = "xy"
     stage_curve: StageCurve | None = None
     reading_u_mg: float | None = None
+    bias_instability_mg: float | None = None
     title: str = ""
     operator: str = ""
     serial: str = ""

@@ -308,6 +308,7 @@ KEYS: dict[str, Key] = {
     "fixture_sigma_deg": Key(_sigma, lambda sigma: "free" if math.isinf(sigma) else number_text(sigma)),
     "stage_curve": Key(_curve, _curve_text),
     "reading_u_mg": Key(_positive, number_text),
+    "bias_instability_mg": Key(_positive, number_text),
     "filter_m": Key(_filter, str),
 }
 """Keys of the lines `# key: value` in the order of writing: fields of `Session`."""

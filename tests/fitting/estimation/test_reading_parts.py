@@ -255,6 +255,11 @@ def test_counts_have_no_figure_of_one_over_f_noise_and_a_known_sensor_has() -> N
     expected = figure * np.diagonal(covariance_of_means(begin, begin + length))
     np.testing.assert_allclose(found, expected, rtol=0.01)
     assert not sheet.flicker_shown
+    # A level that the session states replaces the figure, and gives one to a sensor without a data sheet.
+    for sensor in ("adis16354", "generic"):
+        stated = reduced(sampled(*dwells, sensor=sensor, bias_instability_mg=0.3))
+        found = (stated.slow[:, 0] ** 2).sum(axis=1) + stated.flicker[:, 0]
+        np.testing.assert_allclose(found, expected * 0.3**2 / figure, rtol=0.01)
 
 
 def test_noise_that_still_rises_at_the_lowest_frequencies_is_remarked_on() -> None:

@@ -809,10 +809,11 @@ def quantized_means(variance_mg2: Floats, quantum_mg: Floats) -> Floats:
 
 
 def _stated_flicker(session: Session) -> float:
-    """Return the Allan variance in mg² of the sensor's 1/f noise by its data sheet; 0 without a figure."""
-    if session.sensor not in VARIANTS or session.accel_unit == "counts":
-        return 0.0
-    return VARIANTS[session.sensor].performance.bias_instability_mg ** 2
+    """Return the Allan variance in mg² of the sensor's 1/f noise, stated or by its data sheet; else 0."""
+    known = session.bias_instability_mg
+    if known is None and session.sensor in VARIANTS:
+        known = VARIANTS[session.sensor].performance.bias_instability_mg
+    return 0.0 if known is None or session.accel_unit == "counts" else known**2
 
 
 def flicker_of(noise: spectrum.MeanNoise, stated: float) -> Floats:
