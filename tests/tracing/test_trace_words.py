@@ -95,7 +95,7 @@ ONE_POSE = replace(BEFORE, heldout_by_axis={"x": 1.0})
         ),
         (
             {"found": BOTH, "steps": STEPS, "unnamed": SimpleNamespace(covariates=("time", "angle"))},
-            "residual follows time and angle",
+            "residual follows the time and the angle",
             "Not all",
         ),
         ({"adequate": False, "unnamed": SimpleNamespace(covariates=("time",))}, "Not all", "Found"),
@@ -151,13 +151,17 @@ def test_effects_that_were_not_found_are_grouped_by_what_the_session_could_have_
     seen = {name: Detectable(size, "mg", units.get(name, "")) for name, size in sizes.items()}
     seen["bias_temperature"] = Detectable(None, "mg", "", "temperature_c, temperature_history not recorded")
     seen["supply_bias"] = Detectable(None, "mg", "", "supply_v not recorded")
+    seen["vibration_rectification"] = Detectable(None, "mg", "", "variance_mg2 not recorded")
     seen["tone"] = Detectable(None, "mg", "tone", "looked for within the dwells")
     found = words.sight(result(detectable=seen, found=(finding("bias"),)))
     assert found.visible == ["quadratic", "cross_quadratic"]
     assert found.weak == ["cubic"]
     assert found.open == []
     reasons = {name: reason for reason, names in found.blind.items() for name in names}
-    assert set(reasons) == {"asymmetry", "bias_temperature", "supply_bias", "tone"}
+    assert set(reasons) == {
+        "asymmetry", "bias_temperature", "supply_bias", "tone", "vibration_rectification"
+    }  # fmt: skip
+    assert reasons["vibration_rectification"] == "scatter of the samples in mg not recorded"
     assert reasons["bias_temperature"] == "temperature not recorded"
     assert reasons["supply_bias"] == "supply not recorded"
     assert "no physical amplitude" in reasons["asymmetry"]

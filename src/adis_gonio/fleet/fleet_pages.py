@@ -119,7 +119,6 @@ def _parameters(summary: Summary, *, figures: bool) -> Section:
         "Parameters",
         tables=[table],
         figures=[figure for figure in drawn if figure is not None],
-        notes=["angle: error of the angle, rms over held-out dwells."] if summary.parameters else (),
     )
 
 

@@ -425,7 +425,7 @@ def further_terms_section(traced: TraceResult) -> Section:
         for one in bought
     ]
     head = ["terms", "best model", "log evidence", f"left out / {unit}", f"gain ± U / {unit}", "efficient"]
-    caption = "Efficient: no model of fewer terms has more evidence and a smaller left-out error."
+    caption = "Left out: dwells that the chosen model can spare. Efficient: no smaller model is as good."
     table = Table(head, rows, numeric=(0, 2, 3, 4), caption=caption)
     return Section("What each further term buys", tables=[table], figures=figures)
 

@@ -231,7 +231,7 @@ def _of_readings(result: TraceResult, found: Sequence[Finding]) -> str:
     if rest is not None:
         begin = f"{what} Besides, the" if names else "The"
         end = "" if result.adequate else " Not all of the residual is explained."
-        covariates = join_words(list(rest.covariates))
+        covariates = join_words([f"the {name.replace('_', ' ')}" for name in rest.covariates])
         return f"{begin} residual follows {covariates} in a way that no named effect explains.{end}"
     if result.adequate:
         names += [term.effect for term in result.what_if.forced] if result.what_if is not None else []
@@ -453,6 +453,7 @@ def _reason(reason: str) -> str:
         "temperature_c, temperature_history": "temperature",
         "temperature_c": "temperature",
         "supply_v": "supply",
+        "variance_mg2": "scatter of the samples in mg",
         "angle_rad": "declared angle",
         "previous_angle_rad": "declared angle",
         "load_history": "times that increase",

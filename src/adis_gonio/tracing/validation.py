@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats, wrap_radians
 from adis_gonio.base.budget import check, with_progress
+from adis_gonio.base.numbers import format_unit
 from adis_gonio.fitting.estimation.fit import Fit, adequacy, predictable_dwells
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import Term
@@ -393,7 +394,7 @@ def error_figures(
             design += "; effects chosen again in each fold"
         if len(lefts) > len(fits):
             again = _heldout(lefts.pop(), data)
-            design += f", {again:.3g} {data.model.unit} with those found kept"
+            design += f", {again:.3g} {format_unit(data.model.unit)} with those found kept"
         if any(shown.values()):
             design += (
                 "; a dwell counts if every model predicts it: the base model's error depends on the others"

@@ -37,6 +37,8 @@ def test_the_headline_stands_first_and_eighty_columns_are_enough(capsys):
     order += ["Cannot tell apart", "Positions, in this order"]
     places = [text.index(part) for part in order]
     assert places == sorted(places)
+    assert "supply_bias, supply_scale: not predicted" in text.replace("\n  ", " ")
+    assert "temperature_c" not in text
 
 
 def test_effects_that_a_plan_confounds_stand_side_by_side(capsys):

@@ -415,9 +415,9 @@ def _refuse_other_units(session: Session, readings: Readings) -> None:
         )
     also = "; a plane that is turned has to be vertical" if session.plane == "xy" and length < 1 else ""
     raise DataError(
-        f"{source}: readings are {length:.3g} g long instead of 1 g: accel_unit "
-        f"{session.accel_unit} cannot be right (lsb goes by the sensor, {session.sensor}); state the unit "
-        f"of the file, or counts if it is unknown{_as_another(session, length)}{also}"
+        f"{source}: by accel_unit {session.accel_unit} and sensor {session.sensor}, readings are "
+        f"{length:.3g} g long, not 1 g; state the unit of the file, or counts if it is unknown"
+        f"{_as_another(session, length)}{also}"
     )
 
 
