@@ -159,6 +159,19 @@ def test_the_variant_is_checked_unless_told_not_to():
         Adis16354(bus, check=False)
 
 
+@pytest.mark.parametrize("sign", ["positive", "negative"])
+def test_a_manual_self_test_that_is_on_prevents_opening(sign):
+    with open_bus(SIM) as bus:
+        left = Adis16354(bus)
+        left.write_fields("MSC_CTRL", **{sign: 1}, linear_g=1)
+        word = left.read("MSC_CTRL")
+        with pytest.raises(ChipError, match="manual self-test"):
+            Adis16354(bus)
+        assert Adis16354(bus, check=False).read("MSC_CTRL") == word
+        left.write_fields("MSC_CTRL", **{sign: 0})
+        Adis16354(bus)
+
+
 def test_a_failed_opening_closes_the_bus(monkeypatch):
     bus = ConstantBus(0)
     monkeypatch.setattr("adis_gonio.device.sensor.driver.open_bus", lambda url: bus)

@@ -142,6 +142,8 @@ def open_sensor(url: str, *, variant: str = "adis16354", check: bool = True) -> 
         The bus cannot be opened, see `open_bus`.
     SilentChipError, VariantError
         The check failed.
+    ChipError
+        The manual self-test is on, so that the check cannot judge the readings.
     """
     bus = open_bus(url)
     try:
@@ -161,7 +163,8 @@ class Adis16354(Closing):
     variant : str or Variant
         Sensor type, see `registers.VARIANTS`.
     check : bool
-        True checks on opening that the chip answers and measures 1 g at rest for this variant.
+        True checks on opening that the chip answers, that its manual self-test is off, and that it measures
+        1 g at rest for this variant.
     """
 
     def __init__(
@@ -276,6 +279,7 @@ class Adis16354(Closing):
         smpl_prd, sens_avg, msc_ctrl = self.read_checked(["SMPL_PRD", "SENS_AVG", "MSC_CTRL"])
         found = Configuration.from_words(smpl_prd, sens_avg, msc_ctrl)
         self._gyro_range = found.gyro_range_dps
+        self._stimulated = bool(msc_ctrl & 0x0300)  # MSC_CTRL[9:8]: the manual self-test
         return found
 
     def read_checked(self, names: Sequence[str | Register]) -> list[int]:
@@ -471,12 +475,10 @@ class Adis16354(Closing):
         if count < 1:
             raise UsageError(f"count is {count}: take 1 or more")
         blocks: list[ScanBlock] = []
-        have = 0
         size = min(count, block_scans)
         with self.stream(names, block_scans=size, leave_registers=True, data_ready=data_ready) as stream:
-            while have < count:
+            while sum(map(len, blocks)) < count:
                 blocks.append(next(stream))
-                have += len(blocks[-1])
         return join(blocks).first(count)
 
     def scan(self, names: Sequence[str | Register] = DEFAULT_SCAN) -> dict[str, float]:
@@ -683,6 +685,10 @@ class Adis16354(Closing):
         self.bus.configure(timing_for(self.configuration().smpl_prd))
 
     def _check_variant(self) -> None:
+        if self._stimulated:
+            raise ChipError(
+                "the manual self-test (MSC_CTRL[9:8]) shifts the readings: switch the supply off and on"
+            )
         # Polled: a line that is wrong must not keep the sensor from being opened.
         block = self.read_scans(CHECK_SCANS, ACCEL_OUT, data_ready=False)
         norm_lsb = float(np.median(np.linalg.norm(block.numbers(), axis=1)))
