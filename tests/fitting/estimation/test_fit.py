@@ -310,6 +310,8 @@ def test_dwells_are_foreseen_as_far_as_the_others_tell_what_they_read() -> None:
     assert not predictable_dwells(blind, left, math.inf).any()
     assert predictable_dwells(blind, left * [1.0, 1.0, 0.0], math.inf).all()
     assert not predictable_dwells(np.zeros((0, 3)), left, math.inf).any()
+    faint = rest * [1.0, 1.0, 1e-155]
+    assert not predictable_dwells(faint, left, 4.0).any(), "and no overflow"
 
 
 def test_fewer_rows_than_columns_foresee_what_lies_in_their_plane_alone() -> None:

@@ -729,7 +729,8 @@ def predictable_dwells(rest: Floats, left: Floats, most: float) -> NDArray[np.bo
     _, s, vt = np.linalg.svd(rest / size, full_matrices=False)
     seen = s > 1e-8 * s[0]
     scaled = left / size
-    carried = scaled @ (vt[seen].T / s[seen])
+    # An amplitude that the fitted rows hardly show is uncertain without limit; its square may not overflow.
+    carried = np.clip(scaled @ (vt[seen].T / s[seen]), -1e100, 1e100)
     # Part of a held-out row outside the space of the other rows: such a row cannot be predicted.
     missing = np.abs(scaled - scaled @ vt[seen].T @ vt[seen]).max(axis=2) > 1e-6
     return np.asarray(((1 + (carried**2).sum(axis=2) <= most) & ~missing).all(axis=1))
