@@ -1,6 +1,7 @@
 """A command imports the libraries that it needs, and no library that takes longer than its work."""
 
 import importlib
+import io
 import json
 import py_compile
 import subprocess
@@ -72,6 +73,9 @@ def test_a_truncated_compiled_module_is_no_stop_by_the_operator(tmp_path, monkey
     monkeypatch.setattr(cli.app, "get_command", lambda *_: importlib.import_module(source.stem))
     assert cli.main(["plan"]) == 1
     assert capsys.readouterr().err.strip() == f"adis-gonio: {compiled}: damaged; delete this file"
+    monkeypatch.setattr(cli.app, "get_command", lambda *_: input())
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    assert cli.main(["plan"]) == 130, "the end of input is one"
     # Without the file the module is compiled again.
     compiled.unlink()
     assert importlib.import_module(source.stem).NUMBERS == (1, 2, 3)

@@ -88,13 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         hint = " (to report it: repeat it with record:run.rec: before the URL and attach run.rec)"
         return _fail(f"{error}{hint if from_device else ''}", error.exit_code)
     except (KeyboardInterrupt, click.Abort) as error:
-        # click takes the EOFError of a truncated .pyc for the end of input; prompts here raise none.
-        if isinstance(error.__cause__, EOFError):
-            import traceback
-
-            *_, (frame, _) = traceback.walk_tb(error.__cause__.__traceback__)
-            return _fail(f"{frame.f_locals['bytecode_path']}: damaged; delete this file", 1)
-        return _fail("stopped by the operator; what was recorded is kept", 130)
+        return _stopped(error)
     except BrokenPipeError:
         # The reader of the output has gone; keep the interpreter from complaining when it exits.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -111,6 +105,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         where = f"{error.filename}: " if error.filename else ""
         return _fail(f"{where}{error.strerror or error}", 1)
     return status if isinstance(status, int) else 0
+
+
+def _stopped(error: BaseException) -> int:
+    if isinstance(error.__cause__, EOFError):
+        # click takes the EOFError of a truncated .pyc for the end of input.
+        import traceback
+
+        *_, (frame, _) = traceback.walk_tb(error.__cause__.__traceback__)
+        if path := frame.f_locals.get("bytecode_path"):
+            return _fail(f"{path}: damaged; delete this file", 1)
+    return _fail("stopped by the operator; what was recorded is kept", 130)
 
 
 def _fail(message: str, status: int) -> int:
