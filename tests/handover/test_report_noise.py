@@ -78,7 +78,7 @@ def test_a_long_rest_without_slow_noise_says_how_little_there_can_be():
     quiet = Case({"white": 0.05}, 1 << 12, 2)
     section = noise_section(rests(1, 40, noisy=quiet))
     assert all(
-        any("not separately detected: at most" in point for point in part.points) for part in section.parts
+        any("not separately detected, at most" in point for point in part.points) for part in section.parts
     )
 
 

@@ -357,7 +357,8 @@ def test_the_answer_stands_first_in_large_numerals_with_what_covers_it(page, cur
     assert with_unit(format_uncertain(phi.value, phi.U), "deg") in key
     assert f"k\u00a0=\u00a0{phi.k:.2f}" in key
     assert "U of a displayed angle" in key
-    assert f"Left out: {result.heldout_design}; `fit` leaves out one dwell at a time." in page
+    assert f"Left out: {result.heldout_design}; `fit` leaves out one dwell at a time" in page
+    assert "adds the source temperature to U." in page
 
 
 def test_sections_of_others_stand_before_the_data():

@@ -328,6 +328,7 @@ def errors_section(traced: TraceResult) -> Section:
     parameters = Table(["base parameter", "in the final model"], base, numeric=(1,))
     design = traced.heldout_design or "nothing"
     alone = "; `fit` leaves out one dwell at a time" if "whole dwells" in design else ""
+    alone += " and adds the source temperature to U" if alone and traced.before.unit == "mg" else ""
     left_out = f"Errors are root mean squares. Left out: {design}{alone}."
     return Section("Error before and after", tables=[table, parameters], notes=[left_out])
 

@@ -143,13 +143,13 @@ def _section(result: AllanResult, axis: AxisNoise, *, figures: bool) -> Section:
         if parameter.present:
             rows.append(allan_fit.cells(parameter))
         elif parameter.kind != "quantization":
-            unit = numbers.format_unit(parameter.unit)
-            absent.append(f"{allan_fit.name_shown(parameter)} / {unit}: {allan_fit.missing(parameter)}")
+            limit = numbers.with_unit(numbers.format_number(parameter.high), parameter.unit)
+            absent.append(f"{allan_fit.name_shown(parameter)}: not separately detected, at most {limit}")
     return Section(
         f"{axis.name.upper()}",
         points=[*absent, *axis.notes],
         figures=(_figure(result, axis),) if figures else (),
-        tables=(Table(("noise", *allan_fit.HEAD[1:]), rows, numeric=(1, 2, 3, 4)),),
+        tables=(Table(("noise", "value", "u", "95 % interval", "ν", "unit"), rows, numeric=(1, 2, 3, 4)),),
     )
 
 

@@ -207,7 +207,6 @@ class AllanResult(JsonRecord):
 
 
 _FEW_DOF = 3.0
-HEAD = ("", "value", "u", "95 % interval", "ν", "unit")
 
 
 def name_shown(parameter: NoiseParameter) -> str:
@@ -286,13 +285,8 @@ def notes_of(
         yield f"drifts by {format_number(axis.ramp.value)} {format_unit(axis.ramp.unit)}, which is no noise"
 
 
-def missing(parameter: NoiseParameter) -> str:
-    """Return the text for a process that may be absent, with its upper limit."""
-    return f"not separately detected: at most {format_number(parameter.high)} (95 %)"
-
-
 def cells(parameter: NoiseParameter) -> tuple[str, ...]:
-    """Return the table row, with the columns `HEAD`, for a noise process that is present."""
+    """Return the name, value, u, 95 % interval, ν and unit of a noise process that is present, as texts."""
     row = QuantityRow.of(parameter.name, Value(parameter.likeliest, parameter.u, parameter.unit))
     return (
         name_shown(parameter),
