@@ -1,5 +1,7 @@
 """The line against an independent estimator, and the coverage of its U."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -65,6 +67,6 @@ def test_a_scatter_beyond_all_doubt_is_no_probability_of_zero():
     day, value = np.arange(8.0) * 90, np.array([0, 9, 1, 8, 0, 9, 1, 8.0])
     drift = drift_of(day, value, np.full(8, 0.01), "mg")
     track = Track("bias_x", "mg", tuple(range(8)), day, (), drift)
-    assert "p < 10⁻¹²" in " ".join(drift_sentences(track)).replace("\N{NO-BREAK SPACE}", " ").replace(
-        "\u202f", " "
-    )
+    text = " ".join(drift_sentences(track)).replace("\N{NO-BREAK SPACE}", " ").replace("\u202f", " ")
+    assert "p < 10⁻¹²" in text
+    assert re.search(r"scatter by [\d.]+ mg, beyond their u", text)

@@ -25,7 +25,7 @@ import numpy as np
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError, suggest
 from adis_gonio.base.jsonable import JsonRecord, json_object
-from adis_gonio.base.numbers import NAMES, counted, format_p, label_quantity
+from adis_gonio.base.numbers import NAMES, counted, format_number, format_p, label_quantity, with_unit
 from adis_gonio.base.uncertainty import DRIFTING, Value
 from adis_gonio.fleet.fleet_summary import unshared_u
 from adis_gonio.fleet.session_record import ANGLE, QUANTITIES, SessionRecord
@@ -503,7 +503,7 @@ def drift_sentences(track: Track) -> list[str]:
     lines = [f"{said}: {drift.slope} (U, 95 %), {format_p(drift.p_value)}"]
     if drift.birge_p < DRIFTING:
         lines.append(
-            f"sessions scatter by more than their u: {drift.between:.2g} between sessions "
+            f"sessions scatter by {with_unit(format_number(drift.between, 2), track.unit)}, beyond their u "
             f"(Birge ratio {drift.birge:.2f}, {format_p(drift.birge_p)})"
         )
     return lines

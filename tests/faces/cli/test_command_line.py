@@ -211,6 +211,18 @@ def test_fit_all_shows_every_method_and_nothing_is_wider_than_80_columns(capsys,
         assert "mg" in units
 
 
+def test_a_long_statement_of_conformity_goes_on_below_its_own_words(capsys, recorded, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "76")
+    monkeypatch.setattr("adis_gonio.faces.cli.show.Console.is_terminal", True)
+    assert main(["fit", str(recorded), "--tolerance", "0.5deg"]) == 0
+    out = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
+    stated = out[out.index("Conformity with") :].splitlines()
+    assert max(map(len, stated)) <= 76
+    folded = [line for line in stated if line.startswith("    ")]
+    assert folded
+    assert stated[stated.index(folded[0]) - 1].startswith("  with")
+
+
 def test_fit_monte_carlo_stands_beside_the_linear_uncertainty(capsys, recorded):
     call = ["fit", str(recorded), "--method", "four-position", "--monte-carlo", "400"]
     assert main([*call, "--json"]) == 0

@@ -114,8 +114,8 @@ def fit_command(
     truth = loaded.facts.get("truth") if loaded.free_turn else None
     print_answer(answer, truth, head, shown=loaded.notes, everything=everything)
     if stated is not None:
-        first, *rest = stated.lines
-        show.console(most=show.WIDTH).print("\n".join([f"\n{first}", *(f"  {line}" for line in rest)]))
+        for k, line in enumerate(stated.lines):
+            show.say(f"  {line}" if k else f"\n{line}", err=False, hang=4)
     if run is not None:
         _print_monte_carlo(show.console(most=show.WIDTH), run)
 
