@@ -6,6 +6,7 @@ import io
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 
@@ -119,6 +120,23 @@ def test_an_extended_session_resumes_with_the_plan_that_it_began_with(bench):
     assert status == 0
     assert "complete" in said.err
     assert len(load_session(path).dwells) == 4
+
+
+def test_ctrl_c_while_the_text_of_a_note_is_awaited_ends_the_session(bench, monkeypatch):
+    typed = iter(["", "n"])
+
+    def next_line(_, *, wait):
+        for line in typed:
+            return line
+        signal.raise_signal(signal.SIGINT)
+        pytest.fail("Ctrl-C did not end the wait")
+
+    monkeypatch.setattr(Lines, "next", next_line)
+    status, said, path = bench("", "--plan", "four-position")
+    assert status == 1
+    assert "nothing noted" not in said.err
+    assert f"go on with adis-gonio calibrate '{SIM}' --resume -o {path}" in said.err
+    assert len(load_session(path).dwells) == 1
 
 
 def test_the_loss_of_a_device_ends_with_the_command_that_resumes_the_session(bench, monkeypatch):

@@ -229,27 +229,32 @@ class PlainBench:
 
         `wait` is True to wait for a line.
         """
-        question, self._asking = self._question, wait
+        question = self._question
         if question is None:
             return
         try:
-            line = self._lines.next(wait=wait)
+            line = self._read_line(wait=wait)
+            if line is None:
+                return
+            key, _, rest = line.partition(" ")
+            action = question.keys.get(key.lower()) if not rest else None
+            if action is None:
+                self._obey(line, key.lower(), rest, question)
+                self._prompt(question.text)
+                return
         except (EOFError, KeyboardInterrupt) as error:
             if isinstance(error, EOFError):
                 self._screen.print("\nno more input: the session ends here", style="yellow")
-            self._close(self._runner.stop)
-            return
+            action = self._runner.stop
+        self._close(action)
+
+    def _read_line(self, *, wait: bool) -> str | None:
+        """Return the next line like `Lines.next`; while this method waits, Ctrl-C ends it."""
+        self._asking = wait
+        try:
+            return self._lines.next(wait=wait)
         finally:
             self._asking = False
-        if line is None:
-            return
-        key, _, rest = line.partition(" ")
-        action = question.keys.get(key.lower()) if not rest else None
-        if action is not None:
-            self._close(action)
-            return
-        self._obey(line, key.lower(), rest, question)
-        self._prompt(question.text)
 
     def _obey(self, line: str, key: str, rest: str, question: _Question) -> None:
         """Carry out a line that is no answer to the question.
@@ -285,10 +290,7 @@ class PlainBench:
         if text:
             return text
         self._prompt(asked)
-        try:
-            return self._lines.next(wait=True) or ""
-        except EOFError:
-            return ""
+        return self._read_line(wait=True) or ""
 
     def _close(self, action: Callable[[], None]) -> None:
         self._question = None
