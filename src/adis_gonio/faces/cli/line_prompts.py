@@ -168,15 +168,14 @@ class PlainBench:
     def _ask_position(self, event: events.PositionAsked) -> None:
         if not self._drawn:
             self._draw()
-        runner = self._runner
         if self._plan.name == FREE_TURN:
             task = turn_to_do(max(self._plan.turns, 1))
         else:
             task = to_do(
                 event.position,
                 self._state.here,
-                reverse=runner.reversed,
-                fastest_dps=runner.fastest_dps,
+                reverse=self._runner.reversed,
+                fastest_dps=self._runner.fastest_dps,
                 table=self._plan.name == GYRO_TURNS,
             )
         text = f"{words.position_count(event)}: {task} and press {words.ENTER}"
@@ -310,10 +309,8 @@ class PlainBench:
                 self._hide()
                 if event.summary:
                     self._say(f"\n{loop_line(event.summary)}")
-        for line, level in [
-            *words.lines_about(event),
-            *([] if self._auto else words.lines_of_result(event)),
-        ]:
+        results = [] if self._auto else words.lines_of_result(event)
+        for line, level in [*words.lines_about(event), *results]:
             print_indented(self._screen, line, style="yellow" if level == "warned" else "")
 
     def _say(self, text: str) -> None:
