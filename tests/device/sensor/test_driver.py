@@ -172,6 +172,15 @@ def test_a_manual_self_test_that_is_on_prevents_opening(sign):
         Adis16354(bus)
 
 
+def test_the_check_takes_seconds_at_the_slowest_sample_rate_too():
+    with open_bus("sim:?seed=4&variant=adis16350") as bus:
+        Adis16354(bus, check=False).configure(smpl_prd=0xFF)
+        begin_s = bus.now_s()
+        with pytest.raises(VariantError):
+            Adis16354(bus)
+        assert bus.now_s() - begin_s < 15.0
+
+
 def test_a_failed_opening_closes_the_bus(monkeypatch):
     bus = ConstantBus(0)
     monkeypatch.setattr("adis_gonio.device.sensor.driver.open_bus", lambda url: bus)

@@ -108,6 +108,8 @@ PLAUSIBLE = 0.15
 It allows ±2 % of scale and a bias of tens of mg; the next variant differs by a factor of 5.4.
 """
 CHECK_SCANS = 32
+CHECK_S = 4.0
+"""Time in s in which the check reads its `CHECK_SCANS` scans; at a slow sample rate it reads fewer."""
 
 
 @dataclass(frozen=True)
@@ -179,9 +181,9 @@ class Adis16354(Closing):
         self._gyro_range: int | None = None
         bus.sleep_s(START_UP_S)
         bus.configure(NORMAL)
-        self._follow()
+        found = self._follow()
         if check:
-            self._check_variant()
+            self._check_variant(found.sample_rate_hz)
 
     # -- closing ----------------------------------------------------------------------------------
 
@@ -439,8 +441,7 @@ class Adis16354(Closing):
             if ready and Capability.STREAM in self.bus.capabilities:
                 frames = [int(frame) for frame in read_frames(table)]
                 scans = max(1, min(block_scans, int(LONGEST_EXCHANGE_S / period_s)))
-                source = self.bus.stream(frames, block_scans=scans)
-                stream: ScanStream = StreamedScans(source, layout)
+                stream: ScanStream = StreamedScans(self.bus.stream(frames, block_scans=scans), layout)
             else:
                 counts = ready and Capability.EVENT_COUNTER in self.bus.capabilities
                 stream = PolledScans(self.bus, layout, block_scans, counts_edges=counts)
@@ -546,8 +547,7 @@ class Adis16354(Closing):
         The maker does not give its duration: the method waits until filter and flash update must have
         ended.
         """
-        wait = self.configuration().settling_s + START_UP_S + FLASH_UPDATE_S
-        self._flash_command("autonull", wait)
+        self._flash_command("autonull", self.configuration().settling_s + START_UP_S + FLASH_UPDATE_S)
         return self.offsets()
 
     def precision_autonull(self) -> Offsets:
@@ -680,17 +680,18 @@ class Adis16354(Closing):
             raise StatusError(f"STATUS after {what}: {status}")
         return after
 
-    def _follow(self) -> None:
+    def _follow(self) -> Configuration:
         """Read the configuration of the chip again, and adapt the SPI timing and the gyro scale to it."""
-        self.bus.configure(timing_for(self.configuration().smpl_prd))
+        found = self.configuration()
+        self.bus.configure(timing_for(found.smpl_prd))
+        return found
 
-    def _check_variant(self) -> None:
+    def _check_variant(self, sample_rate_hz: float) -> None:
         if self._stimulated:
-            raise ChipError(
-                "the manual self-test (MSC_CTRL[9:8]) shifts the readings: switch the supply off and on"
-            )
+            raise ChipError("the manual self-test (MSC_CTRL[9:8]) is on: switch the supply off and on")
         # Polled: a line that is wrong must not keep the sensor from being opened.
-        block = self.read_scans(CHECK_SCANS, ACCEL_OUT, data_ready=False)
+        scans = min(CHECK_SCANS, max(3, int(CHECK_S * sample_rate_hz)))
+        block = self.read_scans(scans, ACCEL_OUT, data_ready=False)
         norm_lsb = float(np.median(np.linalg.norm(block.numbers(), axis=1)))
         if abs(norm_lsb / self.variant.one_g_lsb - 1) <= PLAUSIBLE:
             return
@@ -776,9 +777,8 @@ class Undo:
             if now[row.name] != self.before[row.name]:
                 bus.exchange_array(write_frames(row, self.before[row.name]))
         now = self._read()
-        left = [row for row in self.rows if now[row.name] != self.before[row.name]]
         self._sensor._follow()
-        return left
+        return [row for row in self.rows if now[row.name] != self.before[row.name]]
 
     def _read(self) -> dict[str, int]:
         words = self._sensor.read_words(self.rows)
