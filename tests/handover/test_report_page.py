@@ -176,6 +176,7 @@ def test_remaining_residuals_share_a_figure_by_covariate_and_name_their_quantity
     covariates = {panel.covariate for panel in views.left}
     assert len(figures) == len(covariates) < len(views.left)
     assert all("residual / mg" in figure.svg for figure in figures)
+    assert "Residual of the final model against the declared angle" in {one.caption for one in figures}
     norm = replace(views, left=(replace(views.left[0], quantity="norm"),))  # as in space
     (figure,) = residual_section(norm).figures
     assert "residual of the norm / mg" in figure.svg

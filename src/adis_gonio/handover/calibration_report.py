@@ -367,7 +367,7 @@ def residual_section(views: Views) -> Section:
         ]
         x = _covariate_label(covariate)
         y = "residual of the norm / mg" if panels[0].quantity == "norm" else "residual / mg"
-        title = f"Residual of the final model against {x}"
+        title = f"Residual of the final model against the {x.partition(' / ')[0]}"
         figures.append(Figure(plot(series, x, y, title=title, zero=True), title))
     return Section("Remaining residual", figures=figures)
 
