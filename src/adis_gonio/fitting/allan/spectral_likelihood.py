@@ -841,13 +841,12 @@ def profile(
     u = u_squared / (2 * sigma) if sigma > 0 else math.nan
     dof = max(sigma**2 / (2 * u**2), 1.0) if sigma > 0 else 1.0
     # With few degrees of freedom the likelihood ratio exceeds χ² by the mean of ln χ² (Bartlett).
-    limit = NORMAL_95**2 * (1 + 1 / (3 * dof))
+    limit = NORMAL_95 * math.sqrt(1 + 1 / (3 * dof))
 
     def beyond(squared: float) -> float:
         # The square root of the likelihood ratio is almost linear in θ, so that few steps find a root. Each
         # search starts at the same θ, so that equal arguments give equal values, as a bracket needs.
-        deviance = likelihood.maximum(theta, {index: squared})[1]
-        return math.sqrt(max(deviance - least, 0.0)) - math.sqrt(limit)
+        return math.sqrt(max(likelihood.maximum(theta, {index: squared})[1] - least, 0.0)) - limit
 
     # The squares may be far below SciPy's absolute tolerance.
     root = partial(optimize.brentq, beyond, xtol=1e-300, rtol=1e-5)

@@ -616,8 +616,7 @@ def _warnings(data: Readings, lost: Sequence[str], inflation: Mapping[str, float
             steps.append("measure poses with each axis up and down")
         if any(not name.startswith("g_") for name in lacking):
             steps.append("turn the part by whole turns about each axis (plan gyro-turns)")
-        text = "; ".join([*lacking, *steps])
-        warnings.append(f"not determined, fixed at perfect gyros: {text}")
+        warnings.append("not determined, fixed at perfect gyros: " + "; ".join([*lacking, *steps]))
     if large := _larger(inflation):
         warnings.append(
             f"the residual is larger than the measured noise ({large}):"
