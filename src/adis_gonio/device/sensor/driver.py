@@ -740,9 +740,8 @@ class Undo:
     ) -> None:
         self._sensor = sensor
         self.rows = tuple(rows)
-        self.before = (
-            self._read() if before is None else {r.name: before[r.name] & r.write_mask for r in rows}
-        )
+        kept = self._read() if before is None else before
+        self.before = {row.name: kept[row.name] & row.write_mask for row in rows}
         self.unrestored: tuple[str, ...] = ()
 
     def put_back(self) -> None:
@@ -770,12 +769,11 @@ class Undo:
 
     def _restore(self) -> list[Register]:
         """Write back the changed registers once; return the registers that still differ."""
-        bus = self._sensor.bus
-        bus.configure(NORMAL)  # keeps the limits of both modes
+        self._sensor.bus.configure(NORMAL)  # keeps the limits of both modes
         now = self._read()
         for row in self.rows:
             if now[row.name] != self.before[row.name]:
-                bus.exchange_array(write_frames(row, self.before[row.name]))
+                self._sensor.bus.exchange_array(write_frames(row, self.before[row.name]))
         now = self._read()
         self._sensor._follow()
         return [row for row in self.rows if now[row.name] != self.before[row.name]]

@@ -430,7 +430,7 @@ def scales(
         if row.kind is Kind.GYRO and gyro_range_dps is None:
             raise ChipError(
                 f"{row.name}: SENS_AVG has no valid gyro range, so its scale is unknown;"
-                " set one (configure(gyro_range_dps=300))"
+                " set one (option --range 300, or configure(gyro_range_dps=300))"
             )
         a, b, unit = part.lsb(row.kind, gyro_range_dps or 300)
         lsb.append(a)
