@@ -443,6 +443,7 @@ DEFECTS: dict[str, Defect] = {
         archive_tables, "checked_row", _values_unchecked,
         (
             (archive_tables, "checked_value", lambda name, shape, value: value),
+            (archive, "checked_value", lambda name, shape, value: value),
             (archive.ArchiveView, "_refuse_strangers", lambda self, stored: None),
         ),
         differs=_objects,

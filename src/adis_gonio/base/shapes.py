@@ -108,7 +108,7 @@ def list_of(shape: Shape, least: int, most: int) -> Shape:
             count = f"{most}" if least == most else f"{least} to {most}"
             raise _refuse(value, f"a list of {count} values")
         for k, entry in enumerate(value):
-            _inside(f"[{k}]", shape, entry)
+            checked_value(f"[{k}]", shape, entry)
 
     return check
 
@@ -144,13 +144,21 @@ def fields(
             shape = known.get(key, others)
             if shape is None:
                 raise ShapeError(f"  contains {shown(key)}, which is not known")
-            _inside(f".{key[:_SHOWN]}" if key.isprintable() else f"[{shown(key)}]", shape, entry)
+            checked_value(f".{key[:_SHOWN]}" if key.isprintable() else f"[{shown(key)}]", shape, entry)
 
     return check
 
 
-def _inside(way: str, shape: Shape, value: Any) -> None:
+def checked_value(name: str, shape: Shape, value: Any) -> Any:
+    """Return `value` if it passes the check `shape`.
+
+    Raises
+    ------
+    ShapeError
+        The value has a wrong type or is out of range; the message begins with `name`.
+    """
     try:
         shape(value)
     except ShapeError as error:
-        raise ShapeError(f"{way}{error}") from None
+        raise ShapeError(f"{name}{error}") from None
+    return value

@@ -46,7 +46,7 @@ import numpy as np
 from adis_gonio.base import Closing, __version__
 from adis_gonio.base.errors import AdisGonioError, DataError, SessionError, one_line
 from adis_gonio.base.output import exists_error, flush_names
-from adis_gonio.base.shapes import ShapeError, anything
+from adis_gonio.base.shapes import ShapeError, anything, checked_value
 from adis_gonio.device.sensor.registers import ACCEL_OUT, BY_NAME
 from adis_gonio.device.sensor.settings import ScanBlock
 from adis_gonio.record import archive_tables as schema
@@ -321,7 +321,7 @@ class ArchiveView(Closing):
         """Header of the session; it is read from the file once, because it never changes."""
         stored = {row["key"]: row["value"] for row in self._rows("meta", "key")}
         with translated_errors(self.path):
-            values = schema.checked_value("table meta", schema.META, stored)
+            values = checked_value("table meta", schema.META, stored)
         values["plan"] = Plan.from_dict(values["plan"])
         if values["fixture_sigma_deg"] == "free":
             values["fixture_sigma_deg"] = math.inf
@@ -337,7 +337,7 @@ class ArchiveView(Closing):
         for row in rows:
             with translated_errors(self.path):
                 shape = schema.RECORDS.get(row["kind"], anything)
-                schema.checked_value(f"record {row['record']}: {row['kind']}", shape, row["value"])
+                checked_value(f"record {row['record']}: {row['kind']}", shape, row["value"])
         return rows
 
     def values(self, kind: str) -> list[Any]:

@@ -23,6 +23,7 @@ from adis_gonio.base.shapes import (
     ShapeError,
     anything,
     blob,
+    checked_value,
     choice,
     fields,
     list_of,
@@ -526,18 +527,3 @@ def checked_row(table: str, row: Sequence[Any], where: str) -> dict[str, Any]:
     """
     columns = zip(TABLES[table], row, strict=True)
     return {column.name: column.checked(value, where) for column, value in columns}
-
-
-def checked_value(name: str, shape: Shape, value: Any) -> Any:
-    """Return `value` if it passes the check `shape`.
-
-    Raises
-    ------
-    ShapeError
-        The value has a wrong type or is out of range; the message begins with `name`.
-    """
-    try:
-        shape(value)
-    except ShapeError as error:
-        raise ShapeError(f"{name}{error}") from None
-    return value
