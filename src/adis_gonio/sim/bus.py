@@ -166,13 +166,12 @@ class SimStream(contract.FrameStream):
         self._block = block_scans
         self._free_s = bus.now_s()
         self._last_edge: float | None = None
-        self._open = True
         self._require_edges()
 
     def __next__(self) -> contract.FrameBlock:
         bus = self._bus
         with bus._lock:
-            if not self._open:
+            if bus._stream is not self:
                 raise StopIteration
             bus._require_open()
             self._require_edges()
@@ -201,14 +200,12 @@ class SimStream(contract.FrameStream):
     def close(self) -> None:
         """Stop the stream, so that the bus accepts other frames again."""
         with self._bus._lock:
-            if self._open:
-                self._open = False
+            if self._bus._stream is self:
                 self._bus._stream = None
 
     def _require_edges(self) -> None:
         if not self._bus.chip.data_ready_enabled:
-            self._bus._stream = None
-            self._open = False
+            self.close()
             raise BusTimeoutError(
                 f"{self._bus.url}: no data-ready edge on the chip's DIO lines; enable it in MSC_CTRL[2]"
             )
