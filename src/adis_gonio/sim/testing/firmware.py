@@ -149,19 +149,16 @@ class SimulatedFirmware:
 
     # -- packets ----------------------------------------------------------------------------------------
 
-    def send(self, kind: int, request_id: int, body: bytes) -> None:
+    def send(self, kind: int, request_id: int, body: bytes, ready_s: float | None = None) -> None:
         """Queue a packet to the host: its type, the id of the request, and its body.
 
-        `kind` is the number of the type.
+        `kind` is the number of the type; `ready_s` is the time in s at which the packet is ready, None for
+        now.
         """
-        self._put(self._packed(kind, request_id, body))
-
-    @staticmethod
-    def _packed(kind: int, request_id: int, body: bytes) -> bytes:
         raw = struct.pack("<BH", kind, request_id) + body
         assert len(raw) + 4 <= 252
         stuffed: bytes = load_cobs().encode(raw + struct.pack("<I", zlib.crc32(raw)))
-        return stuffed + b"\0"
+        self._put(stuffed + b"\0", ready_s)
 
     def _put(self, data: bytes, ready_s: float | None = None) -> None:
         start = max(self.pins.clock.now_s() if ready_s is None else ready_s, self._line_free_s)
@@ -404,7 +401,7 @@ class _Stream:
         body = head + struct.pack(f"<{len(self._words)}H", *self._words)
         # Two buffers: one is sent while the other fills; if both are full, triggers are lost.
         self._blocked_s = firmware._line_free_s
-        firmware._put(firmware._packed(0xC4, self.id, body), now_s)
+        firmware.send(0xC4, self.id, body, now_s)
         firmware.scan_packets += 1
         self.sent += len(self._times)
         self._words, self._times = [], []
