@@ -341,9 +341,8 @@ class SimulatedChip:
         rise = start_s + bits / clock_hz + cs_hold_s
         stall, period = start_s - self._last_rise, start_s - self._last_start
         self._last_start, self._last_rise = start_s, rise
-        reply = self._answer(word, bits, clock_hz, cs_hold_s, stall, period)
-        self._shifted = reply
-        return reply
+        self._shifted = self._answer(word, bits, clock_hz, cs_hold_s, stall, period)
+        return self._shifted
 
     def frames_at(self, words: Words, starts_s: Floats, *, clock_hz: float) -> Words:
         """Take n frames that start at increasing times (n,) in s; return the n replies.

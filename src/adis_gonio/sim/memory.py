@@ -73,9 +73,7 @@ def update_period_s(smpl_prd: int) -> float:
 
     The forbidden value 0 is assumed to act as 1.
     """
-    value = smpl_prd & 0xFF
-    if value == 0:
-        value = 1
+    value = max(smpl_prd & 0xFF, 1)
     return BASE_S[value >> 7] * ((value & 0x7F) + 1)
 
 
@@ -108,9 +106,8 @@ class Memory:
             if word & ~row.flash_mask:
                 raise UsageError(f"{row.name} has no flash copy of 0x{word & ~row.flash_mask:04X}")
             self._flash[row.name] = word
-        self._words: dict[str, int] = {}
+        self._words = {"ENDURANCE": endurance % ENDURANCE_WRAP}
         self.load()
-        self._words["ENDURANCE"] = endurance % ENDURANCE_WRAP
 
     def __getitem__(self, name: str) -> int:
         return self._words[name]
@@ -152,7 +149,7 @@ class Memory:
 
     def load(self) -> None:
         """Load the registers from flash, as a reset does; bits without a flash copy take their defaults."""
-        endurance = self._words.get("ENDURANCE", 0)
+        endurance = self._words["ENDURANCE"]
         for row in REGISTERS:
             self._words[row.name] = (row.default & ~row.flash_mask) | self._flash.get(row.name, 0)
         self._words["ENDURANCE"] = endurance

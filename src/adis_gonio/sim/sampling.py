@@ -129,8 +129,6 @@ def bartlett_sums(samples: Integers, m: int) -> Integers:
         Sums with weights 1, 2, … N, … 2, 1.
     """
     n = taps(m)
-    if n == 1:
-        return samples
     return _boxcar(_boxcar(samples, n), n)
 
 
