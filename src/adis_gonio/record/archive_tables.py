@@ -195,18 +195,13 @@ def utc_now() -> str:
 def checksum(*values: Any) -> int:
     """Return the CRC-32 of the values of a row; bytes count as they are, other values as JSON text."""
     plain = [value for value in values if not isinstance(value, bytes)]
-    crc = zlib.crc32(json.dumps(plain).encode())
-    for value in values:
-        if isinstance(value, bytes):
-            crc = zlib.crc32(value, crc)
-    return crc
+    blobs = [value for value in values if isinstance(value, bytes)]
+    return zlib.crc32(b"".join([json.dumps(plain).encode(), *blobs]))
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
+    if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    if isinstance(value, np.generic):
-        return value.item()
     raise TypeError(f"{type(value).__name__} has no JSON form")
 
 
