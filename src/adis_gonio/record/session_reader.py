@@ -64,9 +64,9 @@ def read_turns(path: Path, attempts: Sequence[int]) -> tuple[Turn, ...]:
         made = []
         for k, (before, after) in enumerate(pairwise(of_number[number] for number in attempts)):
             blocks = list(_between(view, stored, before, after))
-            declared = plan.positions[after.place].turned_deg if after.place < len(plan) else None
             # The turn is declared only if the part came from the position before in the plan.
-            declared = declared if after.place == before.place + 1 else None
+            follows = after.place == before.place + 1
+            declared = plan.positions[after.place].turned_deg if follows else None
             made.append(_turn(k, blocks, after, declared))
     return tuple(made)
 
