@@ -120,9 +120,7 @@ class Operation(JsonRecord):
     @property
     def target(self) -> dict[str, int]:
         """Register contents after the operation, by name."""
-        if self.steps[-1] is WriteStep.SET_BACK:
-            return self.found
-        return self.old if self.op == "undo" else self.new
+        return self.found if self.steps[-1] is WriteStep.SET_BACK else self.target_of_saving
 
 
 def operations(entries: Iterable[Mapping[str, Any]]) -> tuple[Operation, ...]:
