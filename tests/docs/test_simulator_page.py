@@ -19,7 +19,7 @@ COMMANDS = re.search(r"```sh\n(.*?)```", PAGE, re.S)[1].splitlines()
 
 
 def test_every_name_on_the_page_is_a_setting_or_stands_in_the_truth():
-    known = {*WorldSettings.names(), *World().truth()}
+    known = {*WorldSettings.__dataclass_fields__, *World().truth()}
     named = set(
         re.findall(r"\b(?:gyro|g|die|hand|mark|accel_place|origin|earth|move)_[a-z0-9_]*[a-z0-9]", PAGE)
     )

@@ -303,11 +303,6 @@ class WorldSettings(GyroSettings):
                 raise UsageError(f"{entry.name} must {entry.metadata['must']}, not {value}")
 
     @classmethod
-    def names(cls) -> tuple[str, ...]:
-        """Return the names of all settings of the simulated world."""
-        return tuple(entry.name for entry in fields(cls))
-
-    @classmethod
     def from_options(
         cls,
         options: Mapping[str, str],
@@ -329,7 +324,7 @@ class WorldSettings(GyroSettings):
         UsageError
             A name is unknown (the message has the nearest one), a value is no number or not possible.
         """
-        known = cls.names()
+        known = cls.__dataclass_fields__
         values: dict[str, float] = {}
         for name, text in options.items():
             if name in others:

@@ -306,7 +306,7 @@ class Stage:
         cuts = np.searchsorted(index, np.arange(first + 1, last + 1))
         legs = zip(self._legs[first : last + 1], np.split(time_s, cuts), strict=True)
         parts = [self._along(leg, times) for leg, times in legs if len(times)]
-        return Motion(*(np.concatenate([getattr(part, name) for part in parts]) for name in _NAMES))
+        return Motion(*map(np.concatenate, zip(*(vars(part).values() for part in parts), strict=True)))
 
     def course(self) -> tuple[Floats, Floats]:
         """Return m times in s, (m,), and the directions of gravity (m, 3) then, for linear interpolation.
@@ -481,6 +481,3 @@ def _course(leg: _Leg, time_s: Floats) -> Course:
         done = (1 - np.cos(part)) / 2
         speed = np.pi / (2 * duration) * np.sin(part)
     return np.where(moving, done, 1.0), np.where(moving, speed, 0.0)
-
-
-_NAMES = tuple(Motion.__dataclass_fields__)

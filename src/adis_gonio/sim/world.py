@@ -201,20 +201,16 @@ class World:
         """
         result = dict(self._hidden)
         result["alpha"] = value_or(self.stage.free_start_deg, result["alpha"])
+        result |= {"lever_x": self.settings.lever_x_mm, "lever_y": self.settings.lever_y_mm}
+        result |= self.gyros.truth()
         warm, wander = 0.0, np.zeros(6)
         if time_s is not None:
             warm = float(np.mean(self.temperature_c(time_s))) - REFERENCE_C
             past = self._flicker.past_values(time_s)
             if len(past):
                 wander = past.mean(axis=0)
-        result |= {"lever_x": self.settings.lever_x_mm, "lever_y": self.settings.lever_y_mm}
-        result |= (
-            self.gyros.truth()
-            if time_s is None
-            else self.gyros.truth_at(
-                time_s, self.die_temperature_c(time_s), self.supply_v(time_s), wander[3:]
-            )
-        )
+            dies_c, supply_v = self.die_temperature_c(time_s), self.supply_v(time_s)
+            result |= self.gyros.truth_at(time_s, dies_c, supply_v, wander[3:])
         result["gyro_latency"] = 0.0  # gyros and accelerometers pass the same filter
         for k, axis in enumerate(AXES):
             result[f"scale_{axis}"] *= 1 + float(self._scale_tempco[k]) * warm
@@ -356,11 +352,8 @@ class World:
         spin = np.radians(later - earlier) / (2 * _DERIVATIVE_S)
         felt = np.empty_like(rate)
         for k, place in enumerate(places_m):
-            # ω × (ω × r) = ω (ω · r) − r ω², along axis k.
-            along = rate[:, 0] * place[0] + rate[:, 1] * place[1] + rate[:, 2] * place[2]
-            square = (rate**2).sum(axis=1)
-            centripetal = rate[:, k] * along - square * place[k]
-            felt[:, k] = -(centripetal + np.cross(spin, place)[:, k])
+            centripetal = np.cross(rate, np.cross(rate, place))
+            felt[:, k] = -(centripetal + np.cross(spin, place))[:, k]
         return felt * (1000.0 / STANDARD_GRAVITY_MPS2)
 
     def _ideal(self, direction: Floats) -> Floats:
