@@ -13,9 +13,6 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from typing import Any, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from adis_gonio.base import __version__, numbers
 from adis_gonio.base.errors import AdisGonioError, CannotOpenError, UsageError
 from adis_gonio.device.sensor import Adis16354
@@ -351,7 +348,9 @@ class IioServer:
         self._ready = ready
         description = f"{sensor.variant.name.upper()} at {sensor.bus.url}, adis-gonio {__version__}"
         self.device = iio_device.ServedDevice(sensor.variant, description)
-        self.sampler = iio_device.Sampler(sensor, self._scans_came, self._sensor_failed)
+        self.sampler = iio_device.Sampler(
+            sensor, lambda *scans: self._call(self.hub.publish, *scans), self._sensor_failed
+        )
         self.hub = iio_device.Hub(self.sampler.want, queue_s)
         self._clients: dict[ClientSession, asyncio.Task[None]] = {}
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -446,9 +445,6 @@ class IioServer:
 
     # -- from the sampler's thread ------------------------------------------------------------------
 
-    def _scans_came(self, numbers: NDArray[np.int32], time_ns: NDArray[np.int64]) -> None:
-        self._call(lambda: self.hub.publish(numbers, time_ns))
-
     def _sensor_failed(self, error: Exception) -> None:
         def fail() -> None:
             self.hub.fail(error)
@@ -457,11 +453,11 @@ class IioServer:
 
         self._call(fail)
 
-    def _call(self, action: Callable[[], object]) -> None:
-        """Run an action in the thread of the event loop, if the loop still runs."""
+    def _call(self, action: Callable[..., object], *arguments: object) -> None:
+        """Call `action` with the arguments in the thread of the event loop, if the loop still runs."""
         if self._loop is not None:
             with contextlib.suppress(RuntimeError):  # the loop has ended
-                self._loop.call_soon_threadsafe(action)
+                self._loop.call_soon_threadsafe(action, *arguments)
 
 
 def _report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
