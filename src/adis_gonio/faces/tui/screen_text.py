@@ -238,9 +238,8 @@ def format_measured(name: str, value: float) -> tuple[str, str]:
     stem, _, unit = name.rpartition("_")
     if not stem or unit not in _UNITS:
         return name.replace("_", " "), use_minus(f"{value:.4g}")
-    return stem.replace("_", " "), use_minus(f"{value:.2f}" if unit == "deg" else f"{value:.4g}") + _UNITS[
-        unit
-    ]
+    text = use_minus(f"{value:.2f}" if unit == "deg" else f"{value:.4g}")
+    return stem.replace("_", " "), f"{text}{_UNITS[unit]}"
 
 
 def keys(state: BenchState) -> list[tuple[str, str]]:
