@@ -30,7 +30,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from adis_gonio.base.arrays import Floats
+from adis_gonio.base.arrays import Floats, log_sum_exp
 from adis_gonio.base.jsonable import INLINE, JsonRecord
 from adis_gonio.bench.bringup.bringup_step import QUESTIONS, Measured, Outcome, Question
 from adis_gonio.bench.bringup.link_steps import legal
@@ -457,8 +457,7 @@ class ChipRow:
         logs = np.log(priors) + likelihood
         # Evidence for the table against the best rival, and normalised probabilities.
         evidence = float(likelihood[0] - likelihood[1:].max()) / math.log(10)
-        weights = np.exp(logs - logs.max())
-        chances = dict(zip(names, (weights / weights.sum()).tolist(), strict=True))
+        chances = dict(zip(names, np.exp(logs - log_sum_exp(logs)).tolist(), strict=True))
         outcome, table = Outcome.OPEN, chances[names[0]]
         if not observed:
             outcome = Outcome.NOT_MEASURED
@@ -530,8 +529,7 @@ def _of_labels(names: Sequence[str], labels: Counter[str]) -> Floats:
     `labels` counts each label; `names` are the alternatives, "something else" last. The docstring of the
     module describes the model.
     """
-    keys = [*names[:-1], *sorted({*labels} - {*names[:-1]}), ELSE]
-    keys = list(dict.fromkeys(keys))
+    keys = [*names, *sorted(labels.keys() - {*names})]
     counts = np.array([labels[key] for key in keys], np.float64)
     total = float(counts.sum())
     named = [
@@ -558,7 +556,7 @@ def _of_figures(names: Sequence[str], figures: Sequence[RowFigure], wide: tuple[
     some = np.log(p * table + (1 - p) * flat).sum(axis=1)
     every = np.log(p * table).sum(axis=1)
     logs = some + np.log(-np.expm1(every - some))
-    other = float(logs.max()) + math.log(float(np.mean(np.exp(logs - logs.max()))))
+    other = float(log_sum_exp(logs)) - math.log(len(logs))
     return np.array([*named, other])
 
 
