@@ -179,8 +179,7 @@ class Knowledge:
         """
         bench = self._bench
         quantum = bench.source.part.step_mg
-        limits = limits_from_noise(np.array(noise), bench.window, quantum)
-        self.limits = limits
+        self.limits = limits_from_noise(np.array(noise), bench.window, quantum)
         self._noise_mg = np.maximum(noise, quantum / math.sqrt(12))
         self.judge = self._new_judge(float(self._noise_mg.max()))
         return NoiseMeasured(vector(noise))
