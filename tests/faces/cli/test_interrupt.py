@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 
 import pytest
 
@@ -11,20 +12,29 @@ from programs import running
 
 
 def test_ctrl_c_within_a_step_lets_it_end_and_breaks_the_next_wait() -> None:
-    done = []
+    done, waits = [], iter(range(3))
     with Interrupt() as interrupt:
-        signal.raise_signal(signal.SIGINT)
-        done.append("step")
-        assert interrupt.asked
-        with pytest.raises(KeyboardInterrupt), interrupt.waiting():
-            done.append("wait")
-    assert done == ["step"]
+        for step in interrupt.steps(waits):
+            signal.raise_signal(signal.SIGINT)
+            done.append(step)
+    assert interrupt.asked
+    assert done == [0]
+    assert list(waits) == [1, 2]
 
 
 def test_ctrl_c_ends_a_wait_at_once() -> None:
-    with Interrupt() as interrupt, pytest.raises(KeyboardInterrupt), interrupt.waiting():
+    ended = []
+
+    def waits() -> Iterator[int]:
+        yield 0
         signal.raise_signal(signal.SIGINT)
+        ended.append(1)
+        yield 1
+
+    with Interrupt() as interrupt:
+        assert list(interrupt.steps(waits())) == [0]
     assert interrupt.asked
+    assert not ended
 
 
 def test_a_second_ctrl_c_ends_a_step_that_hangs() -> None:

@@ -12,7 +12,6 @@ import sys
 import threading
 import unicodedata
 from collections.abc import Iterator
-from contextlib import contextmanager
 from types import FrameType
 from typing import TypeVar
 
@@ -90,8 +89,8 @@ def _replace_letters(error: UnicodeError) -> tuple[str | bytes, int]:
 class Interrupt:
     """Context in which the first Ctrl-C only sets `asked` to True, so that the present step can end.
 
-    Inside `waiting`, the first Ctrl-C also raises `KeyboardInterrupt`. A second Ctrl-C always raises it. In
-    a thread other than the main thread the context does nothing.
+    While `steps` waits for its next item, the first Ctrl-C also ends the wait. A second Ctrl-C always
+    raises `KeyboardInterrupt`. In a thread other than the main thread the context does nothing.
     """
 
     def __init__(self) -> None:
@@ -108,31 +107,18 @@ class Interrupt:
         if self._main:
             signal.signal(signal.SIGINT, self._before)
 
-    @contextmanager
-    def waiting(self) -> Iterator[None]:
-        """Context for a step that Ctrl-C may interrupt because it then leaves no partial result.
-
-        Raises
-        ------
-        KeyboardInterrupt
-            Ctrl-C came before or during the step.
-        """
-        self._waiting = True
-        try:
-            if self.asked:
-                raise KeyboardInterrupt
-            yield
-        finally:
-            self._waiting = False
-
     def steps(self, items: Iterator[T]) -> Iterator[T]:
         """Yield items until there are no more, or until Ctrl-C, which sets `asked`."""
         while True:
             try:
-                with self.waiting():
-                    item = next(items)
+                self._waiting = True
+                if self.asked:
+                    return
+                item = next(items)
             except (StopIteration, KeyboardInterrupt):
                 return
+            finally:
+                self._waiting = False
             yield item
 
     def _note(self, number: int, frame: FrameType | None) -> None:
