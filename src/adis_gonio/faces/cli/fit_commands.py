@@ -152,9 +152,7 @@ def print_answer(
     for k, line in enumerate(answer.headline(screen.width)):
         screen.print(line, style=None if k else "bold")
     screen.print()
-    if truth is not None or len(answer.parameters) > len(
-        [name for name in answer.values if name != "angle"]
-    ):
+    if truth is not None or len(answer.parameters) > len(answer.values.keys() - {"angle"}):
         _print_parameters(screen, answer.parameters, truth)
     for line in answer.facts():
         screen.print(f"  {line}")
