@@ -601,11 +601,11 @@ class Population:
         return np.concatenate([given.gains(grid, most) for given in both], axis=1)
 
     def scores(
-        self, parts: Sequence[ChosenCause], only: Sequence[Candidate] | None = None
+        self, parts: Sequence[ChosenCause], candidates: Sequence[Candidate]
     ) -> tuple[Floats, Floats, NDArray[np.intp]]:
         """Return the evidence for adding each candidate, in every group, to the present model.
 
-        `parts` are the causes in the present model. `only` are the k candidates; None takes all.
+        `parts` are the causes in the present model, `candidates` are the k candidates.
 
         Returns
         -------
@@ -617,7 +617,6 @@ class Population:
         best : (k, g) int
             Index of the most probable distribution of the grid.
         """
-        candidates = self.candidates if only is None else only
         shape = (len(candidates), len(self.groups))
         evidence, best = np.zeros(shape), np.zeros(shape, dtype=np.intp)
         trained = np.zeros((*shape, FOLDS))
@@ -634,7 +633,7 @@ class Population:
     def step(self, parts: Sequence[ChosenCause]) -> SelectionStep:
         """Find the most probable cause to add to the model with the causes `parts`."""
         # Posterior over candidates and groups, then the best candidate of the most probable cause.
-        evidence, trained, best = self.scores(parts)
+        evidence, trained, best = self.scores(parts, self.candidates)
         own_prior = np.array([candidate.log_prior for candidate in self.candidates])
         prior = own_prior[:, None] + np.array([group.log_prior for group in self.groups])
         weighed = evidence + prior
