@@ -662,15 +662,14 @@ class Whitened:
         Columns of all values with a prior: calibration, effects, and sizes of known faults.
     prior_sd : (p + q,) float
         Prior standard deviation of the value of each column of `design`.
-    root, inverse : (m, m) float
-        Cholesky factor of the total covariance of the rows, and its inverse.
+    inverse : (m, m) float
+        Inverse of the Cholesky factor of the total covariance of the rows.
     log_scale : float
         ln of the prior of the assumption, and of the likelihood of residuals that are zero.
     """
 
     design: Floats
     prior_sd: Floats
-    root: Floats
     inverse: Floats
     log_scale: float
 
@@ -683,7 +682,7 @@ class Whitened:
         spread = design * prior_sd
         root = np.linalg.cholesky(_noise(rows, scatter) + spread @ spread.T)
         normal = np.log(np.diag(root)).sum() + 0.5 * len(root) * math.log(2 * math.pi)
-        return cls(design, prior_sd, root, np.linalg.inv(root), scatter.log_prior - float(normal))
+        return cls(design, prior_sd, np.linalg.inv(root), scatter.log_prior - float(normal))
 
     def weight(self, z: Floats) -> Floats:
         """Return ln (prior · likelihood) (k,) of the assumption for k sets of whitened residuals (m, k)."""
