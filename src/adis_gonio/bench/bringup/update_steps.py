@@ -96,8 +96,7 @@ def measure_rate(bench: BringupBench, found: StepResult) -> Ending:
 
     The period of the updates is compared with the nominal period of SMPL_PRD.
     """
-    configuration = bench.sensor.configuration()
-    expected = configuration.sample_period_s
+    expected = bench.sensor.configuration().sample_period_s
     period, u = measure_period(bench, expected, max(8, min(512, round(2.0 / expected))))
     rate = 1 / period
     found.measure("sample rate", rate, "Hz", rate * u / period, 1 / expected)
@@ -181,8 +180,7 @@ def check_data_ready(bench: BringupBench, found: StepResult) -> Ending:
     streams, counts = (one in capabilities for one in (Capability.STREAM, Capability.EVENT_COUNTER))
     if not (streams or counts):
         raise NotMeasuredError("this bridge has no data-ready input (neither streams nor an event counter)")
-    configuration = bench.sensor.configuration()
-    period = configuration.sample_period_s * bench.clock
+    period = bench.sensor.configuration().sample_period_s * bench.clock
     before = bench.sensor.read(_MISC)
     try:
         if counts:

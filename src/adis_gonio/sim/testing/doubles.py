@@ -279,8 +279,7 @@ def open_board(
     UsageError, CannotOpenError
         The URL is not possible, or the machine has no free pseudo-terminal.
     """
-    bus = simulated_bus(url)
-    firmware = SimulatedFirmware(ChipPins(bus.chip, WorkClock()), boot_s=boot_s)
+    firmware = SimulatedFirmware(ChipPins(simulated_bus(url).chip, WorkClock()), boot_s=boot_s)
     return SimulatedBoard(firmware, _own_copy(faults))
 
 
