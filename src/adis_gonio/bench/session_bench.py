@@ -16,12 +16,12 @@ from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.archive_tables import Attempt, JsonDict, Move, utc_now
 from adis_gonio.record.plans import Plan, Position
 from adis_gonio.record.source import (
-    LEAST_SAMPLES,
     Measuring,
     SampleSource,
     SampleStream,
     Settings,
     as_source,
+    require_samples,
 )
 from adis_gonio.record.stillness import window_samples
 from adis_gonio.record.write_journal import KIND
@@ -161,11 +161,7 @@ class SessionBench:
         self.period_s = self.configuration.sample_period_s
         self.settle_s = max(settings.settle_s, self.configuration.settling_s)
         self.window = window_samples(self.configuration)
-        if settings.dwell_s < LEAST_SAMPLES * self.period_s:
-            raise UsageError(
-                f"dwell_s is {settings.dwell_s:g}: at {1 / self.period_s:.4g} samples a second"
-                f" take {LEAST_SAMPLES * self.period_s:.3g} s or more"
-            )
+        require_samples(settings.dwell_s, self.period_s)
         after = self.source.registers()
         self.source.mark_restart()
         self._held = self.source.settings_held()

@@ -32,6 +32,15 @@ TURN_S = 10.0
 """Estimated duration in s of a turn by hand, until the first turn has been timed."""
 
 
+def require_samples(dwell_s: float, period_s: float) -> None:
+    """Raise `UsageError` if a dwell has fewer than `LEAST_SAMPLES` samples with this period, both in s."""
+    if dwell_s < LEAST_SAMPLES * period_s:
+        raise UsageError(
+            f"dwell_s is {dwell_s:g}: at {1 / period_s:.4g} samples a second"
+            f" take {LEAST_SAMPLES * period_s:.3g} s or more"
+        )
+
+
 def expected_each_s(settle_s: float, dwell_s: float) -> float:
     """Return the expected duration of one position in s: turning by hand, settling and dwell."""
     return TURN_S + settle_s + dwell_s
@@ -89,12 +98,7 @@ class Settings(JsonRecord):
         chip_settings.sens_avg_word(self.gyro_range_dps, self.filter_m)
         if not 1 <= self.smpl_prd <= 0xFF:
             raise UsageError(f"smpl_prd is {self.smpl_prd}: take 1 (819.2 samples a second) to 255")
-        period_s = chip_settings.sample_period_s(self.smpl_prd)
-        if self.dwell_s < LEAST_SAMPLES * period_s:
-            raise UsageError(
-                f"dwell_s is {self.dwell_s:g}: at {1 / period_s:.4g} samples a second"
-                f" take {LEAST_SAMPLES * period_s:.3g} s or more"
-            )
+        require_samples(self.dwell_s, chip_settings.sample_period_s(self.smpl_prd))
         if missing:
             raise UsageError(f"a session needs {', '.join(ACCEL_OUT)}; the scan lacks {', '.join(missing)}")
 
