@@ -217,11 +217,6 @@ class StillnessWatch:
         self._anchor: Floats | None = None
         self._stuck = np.zeros(len(AXES), dtype=int)
 
-    @property
-    def fed(self) -> int:
-        """Number of samples fed so far."""
-        return self._windows.fed
-
     def anchor(self, sample: int | None) -> None:
         """Set the number of the sample at which a dwell begins; None if there is no dwell.
 
