@@ -477,14 +477,12 @@ def memberships(units: Units) -> list[Membership]:
         if kept:
             found.append(kept)
     whole = Membership("all", "", np.ones(n, dtype=bool), np.log(WHOLE) if found else 0.0)
-    return [
-        whole,
-        *(
-            Membership(name, value, inside, float(np.log((1 - WHOLE) / len(found) / len(kept))))
-            for kept in found
-            for name, value, inside in kept
-        ),
+    parts = [
+        Membership(name, value, inside, float(np.log((1 - WHOLE) / len(found) / len(kept))))
+        for kept in found
+        for name, value, inside in kept
     ]
+    return [whole, *parts]
 
 
 @dataclass(frozen=True)
