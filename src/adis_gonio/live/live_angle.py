@@ -25,7 +25,7 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.device.sensor.registers import ACCEL_OFF, ACCEL_OUT, GYRO_OFF, GYRO_OUT, TEMP_OUT, VARIANTS
 from adis_gonio.device.sensor.settings import Configuration, white_noise_gain
 from adis_gonio.live.motion_model import LAG_S, AngleSmoother, GyroKnowledge, Sensing
-from adis_gonio.record.blocks import GENERIC, Block, block_series
+from adis_gonio.record.blocks import GENERIC, Block, block_series, count_alarms
 from adis_gonio.record.source import ChipSource, Measuring, SampleStream, Settings, open_source
 from adis_gonio.record.stillness import limits_from_noise, window_samples
 
@@ -185,7 +185,7 @@ class LiveAngle:
         None without gyros, and until a lag has passed.
     notes : tuple of str
         `calibration` if the reading at rest contradicts the calibration; the difference is then part of
-        every u.
+        every u. `alarm` if a sample of the span has the flag EA (an error or alarm in STATUS).
     """
 
     time_s: float
@@ -325,6 +325,8 @@ class AngleMeter:
             corrected_deg, u_deg = corrected_angle(self._calibration, mean, temperature_c, u_mg)
             if u_deg is not None:
                 u_deg = None if u_mg is None else math.hypot(u_deg, self._drift_deg, self._off_deg)
+        doubts = {"calibration": self._off_deg > 0, "alarm": any(map(count_alarms, blocks))}
+        notes = tuple(name for name, holds in doubts.items() if holds)
         return LiveAngle(
             end_s - first_s,
             raw_deg,
@@ -334,8 +336,8 @@ class AngleMeter:
             None if spread_mg is None else float(spread_mg.max()),
             temperature_c,
             self._lost,
-            self._smoothed(end_s),
-            ("calibration",) if self._off_deg else (),
+            self._smoothed(end_s, notes),
+            notes,
         )
 
     def _raw(self, mean_mg: Floats, u_mg: Floats | None) -> tuple[float, float | None]:
@@ -372,20 +374,19 @@ class AngleMeter:
         allowed = math.hypot(math.radians(u_deg or 0.0), 3 * self._drift_rad, LENGTH_FLOOR, across, motion)
         self._off_deg = math.degrees(off) if off > 3 * allowed else 0.0
 
-    def _smoothed(self, end_s: float) -> Smoothed | None:
+    def _smoothed(self, end_s: float, notes: tuple[str, ...]) -> Smoothed | None:
         """Return the smoothed angle at one lag before `end_s`, the time of the last sample.
 
-        Return None until a lag has passed.
+        `notes` are added to those of the angle. Return None until a lag has passed.
         """
         angle, calibration = self._smoother.angle(), self._calibration
         if angle is None:
             return None
-        u_deg, notes = angle.u_deg, angle.notes
+        u_deg, notes = angle.u_deg, (*angle.notes, *notes)
         shown_deg = wrap_degrees(angle.angle_deg + self._zero_deg)
         if calibration is not None:
             _, by_calibration = corrected_angle(calibration, angle.accel_mg, angle.temperature_c)
             u_deg = math.hypot(u_deg, by_calibration or 0.0, self._off_deg)
-            notes = (*notes, "calibration") if self._off_deg else notes
         return Smoothed(
             shown_deg, u_deg, end_s - angle.time_s, angle.rate_dps, angle.zero_dps, angle.zero_u_dps, notes
         )

@@ -52,6 +52,15 @@ def test_by_gravity_alone_nothing_is_smoothed(capsys):
     assert all(reading["u_deg"] > 0 for reading in readings)
 
 
+@pytest.mark.parametrize("option", ["--poll", "--no-gyro"])
+def test_an_error_in_status_is_a_note_of_every_angle(option, capsys):
+    for supply_v, note in ((4.6, ["alarm"]), (5.0, [])):
+        assert main(["angle", f"sim:?seed=1&supply_v={supply_v}", "--seconds", "1", "--json", option]) == 0
+        shown = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+        assert shown
+        assert all(one["notes"] == note for one in shown)
+
+
 def test_a_lag_that_means_nothing_is_refused(capsys):
     assert main(["angle", URL, "--seconds", "1", "--lag", "-1"]) == 2
     assert "take 0 to 10" in capsys.readouterr().err

@@ -41,6 +41,7 @@ NOTES = {
     "out_of_plane": "turned out of the plane",
     "calibration": "the calibration does not fit",
     "gyro_calibration": "the gyros' calibration does not fit",
+    "alarm": "error or alarm in STATUS",
 }
 """Text for each note that an angle may carry, by the name of the note."""
 MISFIT = (
