@@ -16,11 +16,11 @@ from adis_gonio.record.archive import ArchiveView
 from adis_gonio.record.archive_tables import Attempt, JsonDict, Move, utc_now
 from adis_gonio.record.plans import Plan, Position
 from adis_gonio.record.source import (
+    ChipSource,
     Measuring,
     SampleSource,
     SampleStream,
     Settings,
-    as_source,
     require_samples,
 )
 from adis_gonio.record.stillness import window_samples
@@ -93,7 +93,7 @@ class SessionBench:
     """
 
     def __init__(self, sensor: Adis16354 | SampleSource, settings: Settings) -> None:
-        self.source = source = as_source(sensor)
+        self.source = source = ChipSource(sensor) if isinstance(sensor, Adis16354) else sensor
         self.settings = settings
         self.stage: MovableStage | None = source.stage
         self.world: Any = source.world

@@ -449,11 +449,6 @@ class ChipSource(SampleSource):
         self.sensor.close()
 
 
-def as_source(sensor: Adis16354 | SampleSource) -> SampleSource:
-    """Wrap a driver as a `SampleSource`; a `SampleSource` is returned unchanged."""
-    return ChipSource(sensor) if isinstance(sensor, Adis16354) else sensor
-
-
 def has_frames(url: str) -> bool:
     """Return True if the URL names an SPI bus with a chip, False for another source of samples."""
     return BusUrl.parse(url).scheme not in {point.name for point in entry_points(group=SOURCE_GROUP)}
