@@ -351,7 +351,7 @@ class ChipSource(SampleSource):
             word = self.sensor.read(control) & ~stimulus
             raise ChipError(
                 f"{self.url}: the manual self-test (MSC_CTRL[9:8]) is on and shifts every reading;"
-                f" end it with 'adis-gonio registers URL MSC_CTRL=0x{word:X}'"
+                f" end it with 'adis-gonio registers URL MSC_CTRL=0x{word:X} --no-check'"
             )
 
     def _borrow_data_ready(self, settings: Settings) -> None:
