@@ -13,7 +13,9 @@ import math
 import struct
 import zlib
 from collections import deque
+from collections.abc import Callable
 from dataclasses import KW_ONLY, InitVar, dataclass
+from functools import partial
 
 from adis_gonio.device.bus.wire import load_cobs
 from adis_gonio.sim.testing.pins import ChipPins
@@ -219,21 +221,17 @@ class SimulatedFirmware:
 
     def _execute(self, kind: int, request_id: int, body: bytes) -> bytes:
         """Execute a request of type `kind`; return the body of its reply."""
-        if kind == 4:
-            return self._begin_stream(request_id, body)
-        requests = (
-            self._hello,
-            self._configure,
-            self._exchange,
-            None,
-            self._stop,
-            self._reset,
-            self._count,
-        )
-        request = requests[kind - 1] if 0 < kind <= len(requests) else None
-        if request is None:
-            raise _RefusalError(UNKNOWN)
-        return request(body)
+        requests: dict[int, Callable[[bytes], bytes]] = {
+            1: self._hello,
+            2: self._configure,
+            3: self._exchange,
+            4: partial(self._begin_stream, request_id),
+            5: self._stop,
+            6: self._reset,
+            7: self._count,
+        }
+        _require(kind in requests, UNKNOWN)
+        return requests[kind](body)
 
     def _require_idle(self) -> None:
         _require(self._stream is None, BUSY)
