@@ -491,8 +491,7 @@ class Section:
     @property
     def filled(self) -> bool:
         """True if the section has contents in addition to its title."""
-        contents = (self.words, self.points, self.figures, self.tables, self.notes, self.parts, self.key)
-        return any(contents)
+        return any((self.words, self.points, self.figures, self.tables, self.notes, self.parts, self.key))
 
 
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
