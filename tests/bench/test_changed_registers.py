@@ -143,7 +143,7 @@ def test_no_session_begins_while_the_manual_self_test_shifts_readings(tmp_path, 
         sensor = Adis16354(bus, "adis16354")
         sensor.write("MSC_CTRL", word)
         runner = SessionRunner.begin(sensor, path, plan("two-position"), SHORT, auto=True)
-        with pytest.raises(ChipError, match=f"self-test.* MSC_CTRL={end}'"):
+        with pytest.raises(ChipError, match=f"self-test.* MSC_CTRL={end} --no-check'"):
             list(runner.run(so_far=False))
         assert sensor.read("MSC_CTRL") == word
 
