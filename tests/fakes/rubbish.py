@@ -265,19 +265,21 @@ def fuzz_link(count: int, seed: int) -> Counter:
     bench = _Bench(seed)
     rubbish = bench.rubbish
     firmware = SimulatedFirmware(bench.pins)
-    packed = SimulatedFirmware._packed
+    send, put = firmware.send, firmware._put
 
-    def spoilt(kind: int, number: int, body: bytes) -> bytes:
-        right = packed(kind, number, body)
-        if rubbish.only_what_shows:
-            return rubbish.answer(right[:-1], header=len(right) - 1) + b"\0"
-        if rubbish.on and rubbish.dice.random() < 0.5:
+    def send_rubbish(kind: int, number: int, body: bytes, ready_s: float | None = None) -> None:
+        if rubbish.on and not rubbish.only_what_shows and rubbish.dice.random() < 0.5:
             kind, number = rubbish.dice.choice(((kind, number), (rubbish.dice.randrange(256), number)))
-            right = packed(kind, number, rubbish.spoil(body))
-            rubbish.fed += len(right)
-        return right
+            body = rubbish.spoil(body)
+            rubbish.fed += len(body)
+        send(kind, number, body, ready_s)
 
-    firmware._packed = spoilt
+    def put_broken(packet: bytes, ready_s: float | None = None) -> None:
+        if rubbish.only_what_shows and len(packet) > 2:
+            packet = rubbish.answer(packet[:-1], header=len(packet) - 1) + b"\0"
+        put(packet, ready_s)
+
+    firmware.send, firmware._put = send_rubbish, put_broken
     url = BusUrl.parse("serial:fake")
     return bench.run(lambda: serial.open_from_url(url, port=QuickPort(firmware), clock=bench.clock), count)
 
