@@ -510,14 +510,14 @@ def test_a_slow_stream_comes_in_small_packets_without_a_time_out():
 
 def test_a_line_on_which_no_packet_of_scans_comes_through_is_a_time_out_and_no_wait_for_ever():
     bench = Bench(watched=False)
-    packed = bench.firmware._packed
+    send = bench.firmware.send
     with bench.open() as bus:
         bus.configure(FAST)
         bus.exchange([DATA_READY_ON])
         with bus.stream(SEVEN, block_scans=16) as stream:
             next(stream)
-            bench.firmware._packed = lambda kind, number, body: (
-                b"\1\0" if kind == 0xC4 else packed(kind, number, body)
+            bench.firmware.send = lambda kind, number, body, ready_s=None: (
+                bench.firmware._put(b"\1\0", ready_s) if kind == 0xC4 else send(kind, number, body, ready_s)
             )
             begin = bench.clock.now_s()
             with pytest.raises(BusTimeoutError, match="no packet of scans came through whole"):
@@ -527,20 +527,20 @@ def test_a_line_on_which_no_packet_of_scans_comes_through_is_a_time_out_and_no_w
 
 def test_a_packet_that_ends_within_a_scan_counts_as_lost_scans():
     bench = Bench(watched=False)
-    packed, cut = bench.firmware._packed, []
+    send, cut = bench.firmware.send, []
 
-    def shortened(kind, number, body):
+    def shortened(kind, number, body, ready_s=None):
         if kind == 0xC4 and not cut:
             cut.append(wire.Scans.unpack(body))
             body = body[:-2]
-        return packed(kind, number, body)
+        send(kind, number, body, ready_s)
 
     with bench.open() as bus:
         bus.configure(FAST)
         bus.exchange([DATA_READY_ON])
         with bus.stream(SEVEN, block_scans=16) as stream:
             next(stream)
-            bench.firmware._packed = shortened
+            bench.firmware.send = shortened
             later = [next(stream) for _ in range(6)]
     assert sum(block.lost for block in later) == len(cut[0].words) // len(SEVEN)
 
