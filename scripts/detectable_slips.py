@@ -53,7 +53,7 @@ def detectable_deg(readings: Readings, turns: Increments, name: Name) -> dict[in
         likely.append(float(white.weight(white.white(residual - expected))[0]))
     none = known.columns[:, :0]
     accounts = [Whitened.of(rows, scatter, none) for scatter in grid]
-    root = accounts[int(np.argmax(likely))].root
+    root = np.linalg.inv(accounts[int(np.argmax(likely))].inverse)
     drawn = root @ np.random.default_rng(0).standard_normal((len(root), _DRAWN))
     whitened = [(account, account.white(drawn)) for account in accounts]
     found = {}
