@@ -82,6 +82,8 @@ def test_undo_note_pause_repeat_skip_and_nonsense_are_all_answers_that_lead_on(b
     assert {"n", "u", "p", "q"} <= set(re.split(r"[ ,]+", listed))
     assert "90° withdrawn" in said.err
     assert "paused" in said.err
+    assert said.err.count("  noted\n") == 2
+    assert "noted: " not in said.err  # an open question would end in it
     assert re.search(r"so far: ΔK \S+\s±\s\S+, Δφ \(\S+\s±\s\S+\)° \(± U, 95 %\)", said.err)
     session = load_session(path)
     assert [remark["text"] for remark in session.facts["remarks"]] == ["loose clamp", "the lamp"]

@@ -309,6 +309,8 @@ class PlainBench:
                 self._hide()
                 if event.summary:
                     self._say(f"\n{loop_line(event.summary)}")
+            case events.Noted() if not self._runner.bench.replayed:
+                return  # confirmed when it was typed; a line now would hide the prompt
         results = [] if self._auto else words.lines_of_result(event)
         for line, level in [*words.lines_about(event), *results]:
             print_indented(self._screen, line, style="yellow" if level == "warned" else "")
