@@ -129,6 +129,13 @@ def test_drifts_have_the_variances_that_the_simulators_flicker_gives_them():
     assert np.abs(seen / np.outer(size, size) - np.eye(12)).max() < 0.01
 
 
+def test_a_stated_level_of_1_f_noise_replaces_the_figure_of_the_data_sheet(result, turned):
+    # The figure is 0.1 mg.
+    noisy = fit(replace(turned[0], bias_instability_mg=1.0))
+    for name in ("bias_x", "bias_y", "delta_phi"):
+        assert noisy[name].u > 2 * result[name].u
+
+
 def test_noise_of_the_windows_is_what_their_slow_part_has():
     """White samples alone: the variance that counts is that of a mean over much, not of a window."""
     found = []

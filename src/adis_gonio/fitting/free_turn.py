@@ -43,9 +43,8 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats, cumulative_integral, wrap_degrees
 from adis_gonio.base.errors import DataError, FitError, SingularError
 from adis_gonio.base.numbers import counted
-from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.answer import MethodComparison, Recommendation, Score
-from adis_gonio.fitting.estimation.readings import mg_per_unit
+from adis_gonio.fitting.estimation.readings import mg_per_unit, stated_flicker
 from adis_gonio.fitting.fit_result import FitResult, Output, values_of, variances
 from adis_gonio.fitting.methods import FREE_TURN
 from adis_gonio.fitting.uncertainty import Kind, ShownAngle, Source, Sources, gradient_of_base
@@ -720,9 +719,8 @@ def _fitted(session: Session) -> FreeTurnResult:
     range_dps = (session.facts.get("configuration") or {}).get("gyro_range_dps")
     require_slow(series, windows, None if range_dps is None else float(range_dps))
     require_axis(series, windows)
-    variant = VARIANTS.get(session.sensor)
-    floor = 0.0 if variant is None else variant.performance.bias_instability_mg
-    problem = LeastSquaresProblem(series, windows, session.gravity_mg, floor)
+    floor_mg = math.sqrt(stated_flicker(session))
+    problem = LeastSquaresProblem(series, windows, session.gravity_mg, floor_mg)
     require_turn(problem.begin()[-len(windows) :])
     solution = solve(problem)
     require_turn(solution.psi_rad)

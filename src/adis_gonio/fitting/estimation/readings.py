@@ -555,7 +555,7 @@ def reduced(session: Session) -> Readings:
         steps = screening.steps_of(rows) if converter.spoiled else converter.steps
         quantum = mg * np.maximum(steps, float(session.accel_unit == "lsb"))
         begin_s, end_s = spectrum.spans([dwells[k].time_s for k in many.tolist()])
-        own, shared_noise = flicker_parts(begin_s, end_s, flicker_of(noise, _stated_flicker(session)))
+        own, shared_noise = flicker_parts(begin_s, end_s, flicker_of(noise, stated_flicker(session)))
         slow = np.zeros((n, *shared_noise.shape[1:]))
         slow[many] = shared_noise
         rounding, level = np.zeros((n, axes)), np.zeros((n, axes))
@@ -576,7 +576,7 @@ def reduced(session: Session) -> Readings:
     elif not known:
         # 1/f noise has no scale of time: means that follow one another share it, however long they are.
         order = np.arange(float(n))
-        _, slow = flicker_parts(order, order + 1, np.full(axes, _stated_flicker(session)))
+        _, slow = flicker_parts(order, order + 1, np.full(axes, stated_flicker(session)))
     angle, of_stage = _stage(session, dwells, mean)
     return Readings(
         mean=mean,
@@ -808,7 +808,7 @@ def quantized_means(variance_mg2: Floats, quantum_mg: Floats) -> Floats:
     return np.asarray(quantum_mg**2 / (2 * math.pi**2) * series.sum(axis=-1))
 
 
-def _stated_flicker(session: Session) -> float:
+def stated_flicker(session: Session) -> float:
     """Return the Allan variance in mg² of the sensor's 1/f noise, stated or by its data sheet; else 0."""
     known = session.bias_instability_mg
     if known is None and session.sensor in VARIANTS:
