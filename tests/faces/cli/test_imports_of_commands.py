@@ -75,7 +75,7 @@ def test_a_truncated_compiled_module_is_no_stop_by_the_operator(tmp_path, monkey
     assert capsys.readouterr().err.strip() == f"adis-gonio: {compiled}: damaged; delete this file"
     monkeypatch.setattr(cli.app, "get_command", lambda *_: input())
     monkeypatch.setattr("sys.stdin", io.StringIO())
-    assert cli.main(["plan"]) == 130, "the end of input is one"
+    assert cli.main(["plan"]) == 130, "the end of input is a stop"
     # Without the file the module is compiled again.
     compiled.unlink()
     assert importlib.import_module(source.stem).NUMBERS == (1, 2, 3)

@@ -48,7 +48,9 @@ def test_a_warm_up_is_named_and_a_shuffled_order_without_one_is_not():
     assert any("a warm-up of the zero rates is in the model" in text for text in found.warnings)
     for axis in "xyz":
         zero = found[f"gyro_bias_{axis}"]
-        assert abs(zero.value - warm.mean()) < zero.U < 0.05
+        assert zero.U < 0.05
+        # Linear in the time constant, the zero rates would be off by more than 20 U.
+        assert abs(zero.value - warm.mean()) < 2 * zero.U
     both = np.concatenate([np.eye(3), -np.eye(3)])
     mixed = np.concatenate([both, both[::-1], both[[2, 5, 0, 3, 1, 4]]])
     assert not order(session_of(mixed, np.zeros(18), rng))
