@@ -1,7 +1,7 @@
 """Rows of `trace` with another prior share of unnamed functions, or with the true noise of the readings.
 
     python scripts/trace_prior.py --share 0.03 --sessions 180 --seed 5160271849
-    python scripts/trace_prior.py --noise --sessions 120 --secret "p16 9142200317"
+    python scripts/trace_prior.py --noise --sessions 120 --secret 3946105196
 
 With `--share`: wrong names among strangers (benchmarks/strangers), and sessions of two effects
 (tests/tracing) in which both and nothing else are found. A larger share gives fewer wrong names and fewer
