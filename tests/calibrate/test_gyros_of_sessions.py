@@ -56,6 +56,11 @@ def bare(path, tmp_path_factory):
     return csv
 
 
+def test_the_design_of_the_held_out_data_has_the_unit_of_gyros(traced):
+    kept = traced.after.heldout_kept
+    assert f"{kept:.3g} °/s with those found kept" in traced.heldout_design
+
+
 def test_a_session_s_calibration_holds_its_gyros_as_they_were_fitted(path, fitted):
     made = Calibration.load(path).gyro
     assert [one.name for one in made.parameters][:3] == ["gyro_bias_x", "gyro_bias_y", "gyro_bias_z"]

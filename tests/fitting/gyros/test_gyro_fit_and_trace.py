@@ -97,7 +97,6 @@ def test_trace_of_the_recording_names_the_causes_and_says_what_stays_open(record
     assert any("step at t" in name or name == "gyro_drift" for group in slow for name in group)
     assert any("another order" in line or "switch the sensor off" in line for line in document["next"])
     assert not any(key.endswith("_mg") for key in document["error"]["after"])
-    assert "dps" not in result.heldout_design
 
 
 def test_the_effects_derivatives_hold_for_a_reading_of_a_gyro():
