@@ -5,9 +5,10 @@
 
 With `--share`: wrong names among strangers (benchmarks/strangers), and sessions of two effects
 (tests/tracing) in which both and nothing else are found. A larger share gives fewer wrong names and fewer
-right ones. With `--noise`: true names in a set on the ladder (benchmarks/blind_residual), by the noise that
-the trace measures with the figure of the data sheet, and by the noise that the generator drew. The oracle
-of `trace_limits.py` knows this noise. Its level of 1/f noise does not show in the dwells.
+right ones. With `--noise`: true names in a set on the ladder (benchmarks/blind_residual, gain 16 to 50,
+without sessions of averaged readings), by the noise that the trace measures with the figure of the data
+sheet, and by the noise that the generator drew. The oracle of `trace_limits.py` knows this noise. Its level
+of 1/f noise does not show in the dwells.
 """
 
 from __future__ import annotations
