@@ -1,5 +1,6 @@
 """The twin is like what was measured, and the comparison tells when it is not."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -204,6 +205,16 @@ def test_the_twin_of_a_generic_sensor_follows_errors_beyond_its_noise(precise):
     assert np.abs(fit.declared_misfit).max() > 80
     # Predicted at the declared angles, to first order in the deviation of the angle.
     assert means == pytest.approx(fit.data.mean - fit.declared_misfit, abs=5.5)
+
+
+def test_the_twin_of_a_generic_sensor_without_declared_angles_has_its_noise(precise):
+    free = replace(
+        precise,
+        dwells=tuple(replace(dwell, angle_deg=None) for dwell in precise.dwells),
+        fixture_sigma_deg=math.inf,
+    )
+    twin = simulate_like(free, Fit.begin(readings_of(free)).refit(), seed=2)
+    assert twin.dwells[3].accel.std(axis=0) == pytest.approx([0.05, 0.05], rel=0.2)
 
 
 def test_simulate_like_writes_the_twin_as_a_samples_csv(capsys, short, tmp_path):

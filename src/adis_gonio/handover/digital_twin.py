@@ -198,8 +198,8 @@ class LikeWorld(World):
         part = VARIANTS.get(sensor, VARIANTS["adis16354"])
         super().__init__(_settings(fit), part=part, seed=seed, effects=effects)
         # Noise like the simulated part's hides its steps; its range is several times 1000 mg.
-        noise_mg, error_mg = noise.white_mg.mean(), np.abs(fit.declared_misfit).max()
-        size = max(float(noise_mg / part.performance.noise_mg), float(error_mg / 1000), 0.01)
+        error = np.where(np.isfinite(data.angle_rad), fit.declared_misfit.T, fit.misfit.T)
+        size = float(max(noise.white_mg.mean() / part.performance.noise_mg, abs(error).max() / 1000, 0.01))
         self.zero_mg, self.magnified = np.zeros(3), 1.0 if sensor in VARIANTS else 1 / size
         # Axes without samples get the mean noise.
         self._white_sd[:3] = noise.white_mg.mean()
