@@ -301,7 +301,7 @@ def gains(result: TraceResult) -> str:
         parts.append("no data were held out, so this is not verified on other data")
     if before.angle_rms_deg is not None and after.angle_rms_deg is not None:
         parts.append(f"the error of the angle {_fall(before.angle_rms_deg, after.angle_rms_deg, '°', '°')}")
-    errors = [before.heldout_rms, *(step.error.heldout_rms for step in result.steps)]
+    errors = [before.heldout_rms, *(step.error.heldout_rms for step in result.steps[:-1])]
     least = min(filter(None, errors), default=0.0)
     # Smaller models are not chosen again in each fold either.
     if format_reduction(after.heldout_kept or after.heldout_rms, least):
