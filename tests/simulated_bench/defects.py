@@ -328,7 +328,7 @@ DEFECTS: dict[str, Defect] = {
     "self-test": Defect(
         "a session runs while the manual self-test shifts all readings",
         ChipSource, "refuse_self_test", lambda self: None,
-        more=((Adis16354, "_check_variant", lambda self, sample_rate_hz: None),),
+        more=((Adis16354, "_check_variant", lambda self, found: None),),
         differs=_speaks,
         needs=lambda story: any(s.command == "self-test on" or _has(s, "control") for s in story.steps),
     ),

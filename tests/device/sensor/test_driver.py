@@ -181,6 +181,16 @@ def test_the_check_takes_seconds_at_the_slowest_sample_rate_too():
         assert bus.now_s() - begin_s < 15.0
 
 
+@pytest.mark.parametrize(("smpl_prd", "filter_m"), [(0x0A, 6), (0xA0, 2), (0xFF, 1)])
+def test_the_check_waits_for_a_filter_that_fills_after_power_on(smpl_prd, filter_m):
+    with open_bus(SIM) as bus:
+        sensor = Adis16354(bus)
+        sensor.configure(smpl_prd=smpl_prd, filter_m=filter_m)
+        sensor.save_to_flash()
+        bus.chip.hard_reset(bus.now_s())
+        Adis16354(bus)
+
+
 def test_a_failed_opening_closes_the_bus(monkeypatch):
     bus = ConstantBus(0)
     monkeypatch.setattr("adis_gonio.device.sensor.driver.open_bus", lambda url: bus)

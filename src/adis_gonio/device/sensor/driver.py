@@ -183,7 +183,7 @@ class Adis16354(Closing):
         bus.configure(NORMAL)
         found = self._follow()
         if check:
-            self._check_variant(found.sample_rate_hz)
+            self._check_variant(found)
 
     # -- closing ----------------------------------------------------------------------------------
 
@@ -520,8 +520,7 @@ class Adis16354(Closing):
         """Read the six offset registers, converted to mg and °/s."""
         rows = registers([*GYRO_OFF, *ACCEL_OFF])
         numbers = [row.number(word) for row, word in zip(rows, self.read_words(rows), strict=True)]
-        lsb, _, _ = scales(rows, self.variant, self._gyro_range)
-        values = [float(value) for value in lsb * numbers]
+        values = (scales(rows, self.variant, self._gyro_range)[0] * numbers).tolist()
         return Offsets((values[0], values[1], values[2]), (values[3], values[4], values[5]))
 
     def save_to_flash(self) -> int:
@@ -686,13 +685,17 @@ class Adis16354(Closing):
         self.bus.configure(timing_for(found.smpl_prd))
         return found
 
-    def _check_variant(self, sample_rate_hz: float) -> None:
+    def _check_variant(self, found: Configuration) -> None:
         if self._stimulated:
             raise ChipError("the manual self-test (MSC_CTRL[9:8]) is on: switch the supply off and on")
         # Polled: a line that is wrong must not keep the sensor from being opened.
-        scans = min(CHECK_SCANS, max(3, int(CHECK_S * sample_rate_hz)))
-        block = self.read_scans(scans, ACCEL_OUT, data_ready=False)
-        norm_lsb = float(np.median(np.linalg.norm(block.numbers(), axis=1)))
+        scans = min(CHECK_SCANS, max(3, int(CHECK_S * found.sample_rate_hz)))
+        for _ in range(2):
+            norms = np.linalg.norm(self.read_scans(scans, ACCEL_OUT, data_ready=False).numbers(), axis=1)
+            if norms[-1] <= (1 + PLAUSIBLE) * norms[0]:
+                break
+            self.bus.sleep_s(found.settling_s)  # after power-on the filter still fills
+        norm_lsb = float(np.median(norms))
         if abs(norm_lsb / self.variant.one_g_lsb - 1) <= PLAUSIBLE:
             return
         fits = [v.name for v in VARIANTS.values() if abs(norm_lsb / v.one_g_lsb - 1) <= PLAUSIBLE]
