@@ -14,6 +14,7 @@ from adis_gonio.base.numbers import format_fixed, format_uncertain, signed
 from adis_gonio.base.uncertainty import Value
 from adis_gonio.device.sensor import REGISTERS
 from adis_gonio.faces.cli import main
+from adis_gonio.faces.cli.show import say
 from adis_gonio.fitting.methods import METHOD_TABLE
 from adis_gonio.handover.formats import FORMATS
 from adis_gonio.sim import WorldSettings
@@ -62,6 +63,16 @@ def test_an_error_is_folded_on_a_terminal_and_one_line_elsewhere(monkeypatch, sc
     )
     assert (len(lines) == 1) == (screen is io.StringIO)
     assert screen is io.StringIO or max(map(len, lines)) < 80
+
+
+@pytest.mark.parametrize("text", ["written: {}, 3 kB", "{}: renamed to {}", "{}"])
+def test_a_path_that_is_wider_than_the_terminal_stays_in_one_piece(monkeypatch, text):
+    monkeypatch.setattr("sys.stderr", Terminal())
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("TERM", "xterm")
+    path = "/some-folder" * 8
+    say(text.format(path, path))
+    assert sys.stderr.getvalue().split() == text.format(path, path).split()
 
 
 def test_warnings_of_a_stream_are_folded_on_a_terminal(monkeypatch):

@@ -10,6 +10,7 @@ from collections.abc import Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
+from textwrap import TextWrapper
 from typing import TYPE_CHECKING, Any, Literal
 
 import click
@@ -20,7 +21,6 @@ from rich.text import Text
 
 from adis_gonio.base.jsonable import json_text
 from adis_gonio.base.numbers import format_duration
-from adis_gonio.base.tables import fold_text
 
 if TYPE_CHECKING:
     from adis_gonio.page.document import Section
@@ -68,10 +68,10 @@ def say(text: str, *, err: bool = True, hang: int = 0) -> None:
     """
     screen = console(stderr=err, most=WIDTH)
     if screen.is_terminal and len(text) >= screen.width:
-        room = screen.width - 1 - hang
-        # Only the rest is folded: the first line may begin with aligned columns.
-        cut = text.rfind(" ", 0, screen.width)
-        text = "\n".join([text[:cut], *fold_text(text[cut + 1 :], room + hang, hang)])
+        # The first line may begin with a line break; a path or an option is not broken.
+        wrapper = TextWrapper(screen.width - 1, subsequent_indent=" " * hang, replace_whitespace=False)
+        wrapper.break_long_words = wrapper.break_on_hyphens = False
+        text = wrapper.fill(text)
     click.echo(text, err=err)
 
 
