@@ -20,7 +20,7 @@ from adis_gonio.base.errors import ChipError, SessionError, UsageError
 from adis_gonio.base.jsonable import OPTIONAL, JsonRecord
 from adis_gonio.device.bus.opening import SOURCE_GROUP, BusUrl
 from adis_gonio.device.sensor import settings as chip_settings
-from adis_gonio.device.sensor.driver import DEFAULT_SCAN, MARK, Adis16354, open_sensor
+from adis_gonio.device.sensor.driver import DEFAULT_SCAN, MARK, STIMULUS, Adis16354, open_sensor
 from adis_gonio.device.sensor.registers import ACCEL_OUT, BY_NAME, READING_BITS, REGISTERS
 from adis_gonio.device.sensor.scanning import MASK as DATA_READY_BITS, DataReadyLoan
 from adis_gonio.record.blocks import Block
@@ -344,11 +344,10 @@ class ChipSource(SampleSource):
     def refuse_self_test(self) -> None:
         """Raise `ChipError` if the manual self-test is on, because its stimulus shifts all readings."""
         control = BY_NAME["MSC_CTRL"]
-        stimulus = control.field("positive").mask | control.field("negative").mask
         word = self.sensor.read(control)
-        if word & stimulus and not word & ~control.write_mask:  # other bits mean a dead line
+        if word & STIMULUS and not word & ~control.write_mask:  # other bits mean a dead line
             self.give_back()
-            word = self.sensor.read(control) & ~stimulus
+            word = self.sensor.read(control) & ~STIMULUS
             raise ChipError(
                 f"{self.url}: the manual self-test (MSC_CTRL[9:8]) is on and shifts every reading;"
                 f" end it with 'adis-gonio registers URL MSC_CTRL=0x{word:X} --no-check'"

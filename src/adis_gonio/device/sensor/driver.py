@@ -95,6 +95,9 @@ WAKE_S = 0.005
 FLASH_LIFE = 10_000
 """Number of flash writes that the chip is made for (DS, A)."""
 
+STIMULUS = BY_NAME["MSC_CTRL"].field("positive").mask | BY_NAME["MSC_CTRL"].field("negative").mask
+"""Bits of MSC_CTRL of the manual self-test, which shifts the readings."""
+
 MOST_READINGS = 4
 """Largest number of times that `read_checked` reads the registers until two successive readings agree."""
 
@@ -281,7 +284,7 @@ class Adis16354(Closing):
         smpl_prd, sens_avg, msc_ctrl = self.read_checked(["SMPL_PRD", "SENS_AVG", "MSC_CTRL"])
         found = Configuration.from_words(smpl_prd, sens_avg, msc_ctrl)
         self._gyro_range = found.gyro_range_dps
-        self._stimulated = bool(msc_ctrl & 0x0300)  # MSC_CTRL[9:8]: the manual self-test
+        self._stimulated = bool(msc_ctrl & STIMULUS)
         return found
 
     def read_checked(self, names: Sequence[str | Register]) -> list[int]:
