@@ -305,9 +305,8 @@ def gains(result: TraceResult) -> str:
     least = min(filter(None, errors), default=0.0)
     # Smaller models are not chosen again in each fold either.
     if format_reduction(after.heldout_kept or after.heldout_rms, least):
-        names = join_words([step.effect for step in result.steps[: errors.index(least)]])
-        text = f"with {names or 'the base model'} alone, the held-out error is smaller"
-        parts.append(f"{text}: {format_number(least)} {unit}")
+        names = join_words([one.effect for one in result.steps[: errors.index(least)]]) or "the base model"
+        parts.append(f"with {names} alone, the held-out error is smaller: {format_number(least)} {unit}")
     return "; ".join(parts) + "."
 
 

@@ -479,10 +479,11 @@ class Adis16354(Closing):
         if count < 1:
             raise UsageError(f"count is {count}: take 1 or more")
         blocks: list[ScanBlock] = []
-        size = min(count, block_scans)
+        have, size = 0, min(count, block_scans)
         with self.stream(names, block_scans=size, leave_registers=True, data_ready=data_ready) as stream:
-            while sum(map(len, blocks)) < count:
+            while have < count:
                 blocks.append(next(stream))
+                have += len(blocks[-1])
         return join(blocks).first(count)
 
     def scan(self, names: Sequence[str | Register] = DEFAULT_SCAN) -> dict[str, float]:
