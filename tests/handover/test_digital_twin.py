@@ -164,7 +164,7 @@ def test_the_twin_of_a_real_recording_has_its_noise():
 
 @pytest.fixture
 def precise():
-    """Ten positions of a generic sensor whose noise is a tenth of a step of an ADIS16354."""
+    """Ten positions of a generic sensor with a noise of a tenth of a step of an ADIS16354."""
     rng = np.random.default_rng(1)
     angle_deg = np.arange(0.0, 360.0, 36.0)
     gravity_mg = 1000 * np.stack([np.cos(np.radians(angle_deg)), -np.sin(np.radians(angle_deg))], axis=1)

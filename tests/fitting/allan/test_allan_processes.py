@@ -128,7 +128,7 @@ def test_a_coefficient_on_its_boundary_is_refused_at_half_the_chi_square_chance(
 
 
 class SearchThatMayStopEarly:
-    """A likelihood of θ[1] = 1 ± 0.1 whose maximum depends a little on where the search starts."""
+    """A likelihood of θ[1] = 1 ± 0.1. Its maximum depends a little on the start of the search."""
 
     scale = np.ones(4)
     best = np.array([0.0, 1.0, 0.0, 0.0])
