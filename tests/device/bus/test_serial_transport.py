@@ -588,6 +588,21 @@ def test_the_map_of_clocks_never_runs_backwards(steps):
         at += span + 0.001
 
 
+def test_scans_of_a_stream_follow_those_of_a_stream_whose_start_was_answered_late(monkeypatch):
+    bench = Bench()
+    bus = bench.open()
+    bus.exchange([DATA_READY_ON])
+    ask, times = bus._ask, []
+    for late_s in (0.2, 0.0, 0.1, 0.0):
+        with monkeypatch.context() as patch:
+            late = lambda *request, s=late_s: (ask(*request), bench.clock.sleep_s(s))[0]  # noqa: E731
+            patch.setattr(bus, "_ask", late)
+            stream = bus.stream(SEVEN, block_scans=16)
+        times += [next(stream).time_s for _ in range(12)]
+        stream.close()
+    assert (np.diff(np.concatenate(times)) > 0).all()
+
+
 # -- ports --------------------------------------------------------------------------------------------
 
 

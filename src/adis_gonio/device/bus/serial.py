@@ -474,6 +474,7 @@ class SerialStream(FrameStream):
         self._lost = scans.lost
         left_s = arrival_s - (len(packet.body) + _AROUND) * self.owner.byte_s
         times = self.clock.times(scans.first_us, scans.span_us, count, left_s)
+        self.owner.streamed_s = float(times[-1])
         return FrameBlock(scans.words.reshape(count, self.width), times, lost)
 
     def _packet(self) -> tuple[Packet, float]:
@@ -545,6 +546,8 @@ class SerialBus(HostBus):
         Reply of the firmware to the hello.
     byte_s : float
         Time in s of a byte on the line.
+    streamed_s : float
+        Time in s of the last scan of all streams, on the bus's clock.
 
     Raises
     ------
@@ -574,6 +577,7 @@ class SerialBus(HostBus):
         self._stream: SerialStream | None = None
         self._counted = 0
         self._board_us = 0
+        self.streamed_s = 0.0
         self._lost_session = False
         self.firmware = self._link.hello(boot_s)
         native = self.firmware.capabilities & wire.FirmwareCapability.USB
@@ -640,7 +644,8 @@ class SerialBus(HostBus):
         packet_scans = min(fit, block_scans)
         request = wire.StreamRequest(self._trigger, packet_scans, 1, 0, np.array(frames, np.uint16))
         reply = self._ask(request, wire.StreamReply)
-        clock = ClockMap(reply.now_us, self.now_s())
+        # The map of the stream before ran ahead if its first reply was late.
+        clock = ClockMap(reply.now_us, max(self.now_s(), self.streamed_s))
         self._stream = SerialStream(self, self._link.last_id, width, packet_scans, block_scans, clock)
         return self._stream
 
