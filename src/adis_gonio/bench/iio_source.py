@@ -416,6 +416,8 @@ class IioSource(SampleSource):
     ----------
     channels, columns : tuple
         Recorded channels, and the columns of a session that the blocks of samples have, in this order.
+    next_s : float
+        Earliest possible time of the next scan in s on the clock of `now_s`.
 
     Raises
     ------
@@ -431,6 +433,7 @@ class IioSource(SampleSource):
         self.url = url
         self._device = device
         self._zero_s = time.monotonic()
+        self.next_s = 0.0
         self.channels = choose_channels(device.channels, url)
         self.columns = tuple(channel.column for channel in self.channels)
         self._time = next((c for c in device.channels if c.id == TIMESTAMP and c.dtype), None)
@@ -518,28 +521,27 @@ class BufferedSamples(IioStream):
         self.how = "scans by the device's own clock; " + (
             "lost ones show in their times" if stamp else "it gives no times, so lost ones cannot be seen"
         )
-        self._first_ns: int | None = None
+        self._begun = False
         self._last_ns: int | None = None
-        self._begin_s = 0.0
-        self._count = 0
         channels = [*source.channels, *([stamp] if stamp else [])]
         self._device.open_buffer(
             channels, block_samples, max(PATIENCE_S, 3 * block_samples * self._period_s)
         )
 
     def _next(self) -> ValueBlock:
-        numbers = self._device.read_buffer()
-        count = len(numbers[self._source.channels[0].id])
-        if self._count == 0:
-            self._begin_s = self._source.now_s() - count * self._period_s
+        numbers, source = self._device.read_buffer(), self._source
+        count = len(numbers[source.channels[0].id])
+        if not self._begun:
+            # A late first block makes all times of its stream late; the next stream begins after them.
+            source.next_s = max(source.next_s, source.now_s() - count * self._period_s)
+            self._begun = True
         if self._stamped:
             time_s, lost = self._times(numbers[TIMESTAMP])
         else:
-            places = np.arange(self._count, self._count + count, dtype=np.float64)
-            time_s, lost = np.asarray(self._begin_s + self._period_s * places, np.float64), 0
-        self._count += count
-        data = np.column_stack([one.values(numbers[one.id]) for one in self._source.channels])
-        return ValueBlock(self._source.columns, data, time_s, lost)
+            time_s, lost = source.next_s + self._period_s * np.arange(count, dtype=np.float64), 0
+        source.next_s = float(time_s[-1]) + self._period_s
+        data = np.column_stack([one.values(numbers[one.id]) for one in source.channels])
+        return ValueBlock(source.columns, data, time_s, lost)
 
     def _times(self, stamps_ns: np.ndarray) -> tuple[Floats, int]:
         """Convert time stamps (n,) in ns to times on the source's clock in s, and count missing samples.
@@ -549,20 +551,17 @@ class BufferedSamples(IioStream):
         ProtocolError
             The time stamps do not increase.
         """
-        if self._first_ns is None:
-            self._first_ns = int(stamps_ns[0])
-        before = stamps_ns[:1] if self._last_ns is None else np.array([self._last_ns])
-        steps_s = np.diff(np.concatenate([before, stamps_ns])) * 1e-9
-        # The first sample of a stream has no step before it.
-        if (steps_s[1:] <= 0).any() or (self._last_ns is not None and steps_s[0] <= 0):
+        if self._last_ns is None:  # no step comes before the first sample of a stream
+            self._last_ns = int(stamps_ns[0]) - round(1e9 * self._period_s)
+        steps_s = np.diff(stamps_ns, prepend=self._last_ns) * 1e-9
+        if (steps_s <= 0).any():
             raise ProtocolError(
                 f"{self._source.url}: the times of the scans go back: let its current_timestamp_clock be"
                 " monotonic"
             )
         self._last_ns = int(stamps_ns[-1])
         lost = int(np.maximum(np.rint(steps_s / self._period_s) - 1, 0).sum())
-        since_s = (stamps_ns - self._first_ns).astype(np.float64) * 1e-9
-        return np.asarray(self._begin_s + since_s, np.float64), lost
+        return np.asarray(self._source.next_s - self._period_s + np.cumsum(steps_s), np.float64), lost
 
     def _stop(self) -> None:
         self._device.close_buffer()

@@ -56,7 +56,10 @@ class FakeChannel:
 
 
 class FakeDevice:
-    """Faults to set: `busy` (errno at opening), `silent`, `gone` (errno of a read), `lost` scan numbers."""
+    """Faults to set: `busy` (errno at opening), `silent`, `gone` (errno of a read), `lost` scan numbers.
+
+    `late_s` delays the next block, as a busy host does.
+    """
 
     id, name, label = "iio:device0", NAME, None
 
@@ -64,6 +67,7 @@ class FakeDevice:
         self.rate_hz, self.attrs = rate_hz, {}
         self.timeout_ms, self.buffers = None, 0
         self.busy = self.gone = 0
+        self.late_s = 0.0
         self.silent, self.lost = threading.Event(), ()
         names = (*RAW, "timestamp") if buffered else tuple(RAW)
         self.channels = [FakeChannel(self, name, buffered) for name in names]
@@ -100,7 +104,8 @@ class FakeBuffer:
             if self.count not in self.device.lost:
                 self.numbers.append(self.count)
         due_s = self.begin_s + self.count / self.device.rate_hz
-        time.sleep(max(0.0, due_s - time.monotonic()))
+        time.sleep(max(0.0, due_s - time.monotonic()) + self.device.late_s)
+        self.device.late_s = 0.0
 
 
 class FakeLibiio:

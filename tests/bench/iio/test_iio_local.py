@@ -68,6 +68,19 @@ def test_lost_scans_are_counted_by_the_gaps_in_their_times(device):
     assert lost == [0, 3, 0]
 
 
+@pytest.mark.parametrize("stamped", [True, False])
+def test_scans_of_a_stream_follow_those_of_a_stream_whose_first_block_came_late(device, stamped):
+    device.late_s = 0.3
+    if not stamped:
+        device.channels.pop()
+    with open_source(url_of()) as source:
+        times = []
+        for _ in range(2):
+            with source.samples(Settings(), 8) as stream:
+                times += [next(stream).time_s for _ in range(4)]
+    assert (np.diff(np.concatenate(times)) > 0.009).all()
+
+
 @pytest.mark.parametrize("name", ["", "device0", "iio:device0", NAME])
 def test_a_device_is_found_by_id_or_name(device, name):
     with open_source(url_of(name)) as source:
