@@ -270,11 +270,7 @@ def _detail(row: StepResult) -> Section:
         for figure in row.figures
     ]
     table = Table(("figure", "value", "expected"), rows, numeric=(1, 2))
-    return Section(
-        row.name,
-        words=(f"{row.does} ({row.effect}).",),
-        tables=(table,),
-    )
+    return Section(row.name, words=(f"{row.does} ({row.effect}).",), tables=(table,))
 
 
 def _limits(found: Bringup) -> Section:
@@ -299,8 +295,5 @@ def _value(figure: Measured) -> str:
 
 
 def _number(value: float, figure: Measured) -> str:
-    if float(value).is_integer() and abs(value) < 1e7:
-        text = format_fixed(value, 0)
-    else:
-        text = format_number(value, 6)
-    return with_unit(text, figure.unit)
+    whole = float(value).is_integer() and abs(value) < 1e7
+    return with_unit(format_fixed(value, 0) if whole else format_number(value, 6), figure.unit)

@@ -294,22 +294,19 @@ def run_self_tests(bench: BringupBench, found: StepResult) -> Ending:
     The change of the outputs of all six axes is measured by means without, with +, without, with − and
     without stimulus.
     """
-    internal = bench.sensor.self_test()
+    sensor = bench.sensor
+    internal = sensor.self_test()
     bench.sample_quickly()
     bench.wait_updates()
     names = (*ACCEL_OUT, *GYRO_OUT)
     means = []
     for sign in ("", "positive", "", "negative", ""):
-        bench.sensor.write_fields(
-            "MSC_CTRL", positive=int(sign == "positive"), negative=int(sign == "negative")
-        )
+        sensor.write_fields("MSC_CTRL", positive=int(sign == "positive"), negative=int(sign == "negative"))
         bench.bus.sleep_s(0.04)  # the duration of the internal test is enough for the elements
         bench.wait_updates()
         means.append(bench.means(_SCANS // 2, names))
     zero, up, between, down, end = means
-    lsb, _, units = scales(
-        registers(names), bench.sensor.variant, bench.sensor.configuration().gyro_range_dps
-    )
+    lsb, _, units = scales(registers(names), sensor.variant, sensor.configuration().gyro_range_dps)
     # Each stimulus is compared with the means without stimulus before and after it.
     plus, minus = up - (zero + between) / 2, down - (between + end) / 2
     range_scale = np.array([1.0] * 3 + [0.07326 / lsb[3]] * 3)

@@ -172,13 +172,7 @@ class Adis16354(Closing):
         1 g at rest for this variant.
     """
 
-    def __init__(
-        self,
-        bus: SpiBus,
-        variant_: str | Variant = "adis16354",
-        *,
-        check: bool = True,
-    ) -> None:
+    def __init__(self, bus: SpiBus, variant_: str | Variant = "adis16354", *, check: bool = True) -> None:
         self.bus = bus
         self.variant: Variant = variant(variant_)
         self._gyro_range: int | None = None

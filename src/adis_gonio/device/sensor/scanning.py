@@ -433,14 +433,7 @@ class PolledScans(ScanStream):
     The chip marks a new word by its bit 15, ND. The module's text describes the method.
     """
 
-    def __init__(
-        self,
-        bus: SpiBus,
-        layout: ScanLayout,
-        block_scans: int,
-        *,
-        counts_edges: bool,
-    ) -> None:
+    def __init__(self, bus: SpiBus, layout: ScanLayout, block_scans: int, *, counts_edges: bool) -> None:
         super().__init__(layout)
         self.how = "polling; missed samples are counted by " + (
             "the bridge's counter of data-ready edges" if counts_edges else "time"
