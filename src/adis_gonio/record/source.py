@@ -347,11 +347,7 @@ class ChipSource(SampleSource):
         word = self.sensor.read(control)
         if word & STIMULUS and not word & ~control.write_mask:  # other bits mean a dead line
             self.give_back()
-            word = self.sensor.read(control) & ~STIMULUS
-            raise ChipError(
-                f"{self.url}: the manual self-test (MSC_CTRL[9:8]) is on and shifts every reading;"
-                f" end it with 'adis-gonio registers URL MSC_CTRL=0x{word:X} --no-check'"
-            )
+            self.sensor.refuse_stimulus(self.sensor.read(control))
 
     def _borrow_data_ready(self, settings: Settings) -> None:
         self.give_back()

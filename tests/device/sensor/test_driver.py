@@ -2,6 +2,7 @@
 
 import math
 import random
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -34,6 +35,7 @@ from adis_gonio.device.sensor.registers import (
     REGISTERS,
     read_frame,
 )
+from adis_gonio.record.source import ChipSource
 from adis_gonio.sim import SimBus, SimulatedChip, World
 from adis_gonio.sim.chip import State
 from adis_gonio.sim.sampling import OUTPUTS
@@ -165,11 +167,15 @@ def test_a_manual_self_test_that_is_on_prevents_opening(sign):
         left = Adis16354(bus)
         left.write_fields("MSC_CTRL", **{sign: 1}, linear_g=1)
         word = left.read("MSC_CTRL")
-        with pytest.raises(ChipError, match="manual self-test"):
+        with pytest.raises(ChipError, match="manual self-test") as refused:
             Adis16354(bus)
-        assert Adis16354(bus, check=False).read("MSC_CTRL") == word
-        left.write_fields("MSC_CTRL", **{sign: 0})
-        Adis16354(bus)
+        same = Adis16354(bus, check=False)
+        assert same.read("MSC_CTRL") == word
+        with pytest.raises(ChipError, match=re.escape(str(refused.value))):
+            ChipSource(same).refuse_self_test()
+        end = re.search(r"MSC_CTRL=(0x[0-9A-F]+) --no-check", str(refused.value))
+        same.write("MSC_CTRL", int(end[1], 0))
+        assert Adis16354(bus).read("MSC_CTRL") == 0x0080
 
 
 def test_the_check_takes_seconds_at_the_slowest_sample_rate_too():

@@ -278,7 +278,7 @@ class Adis16354(Closing):
         smpl_prd, sens_avg, msc_ctrl = self.read_checked(["SMPL_PRD", "SENS_AVG", "MSC_CTRL"])
         found = Configuration.from_words(smpl_prd, sens_avg, msc_ctrl)
         self._gyro_range = found.gyro_range_dps
-        self._stimulated = bool(msc_ctrl & STIMULUS)
+        self._msc_ctrl = msc_ctrl
         return found
 
     def read_checked(self, names: Sequence[str | Register]) -> list[int]:
@@ -512,6 +512,14 @@ class Adis16354(Closing):
             raise ChipError("the self-test did not end in 60 ms: reset the part and check its supply")
         return self.status()
 
+    def refuse_stimulus(self, msc_ctrl: int) -> None:
+        """Raise `ChipError` if the manual self-test is on in `msc_ctrl`, the content of MSC_CTRL."""
+        if msc_ctrl & STIMULUS:
+            raise ChipError(
+                f"{self.bus.url}: the manual self-test (MSC_CTRL[9:8]) is on and shifts every reading; end"
+                f" it with 'adis-gonio registers URL MSC_CTRL=0x{msc_ctrl & ~STIMULUS:X} --no-check'"
+            )
+
     # -- offsets and flash --------------------------------------------------------------------------
 
     def offsets(self) -> Offsets:
@@ -684,8 +692,7 @@ class Adis16354(Closing):
         return found
 
     def _check_variant(self, found: Configuration) -> None:
-        if self._stimulated:
-            raise ChipError("the manual self-test (MSC_CTRL[9:8]) is on: switch the supply off and on")
+        self.refuse_stimulus(self._msc_ctrl)
         # Polled: a line that is wrong must not keep the sensor from being opened.
         scans = min(CHECK_SCANS, max(3, int(CHECK_S * found.sample_rate_hz)))
         for _ in range(2):
