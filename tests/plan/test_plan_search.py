@@ -10,6 +10,7 @@ import pytest
 
 from adis_gonio.base.conformity import Tolerance
 from adis_gonio.base.errors import FitError, UsageError
+from adis_gonio.base.uncertainty import Detectable
 from adis_gonio.plan.optimal_plan import (
     arrange_in_columns,
     best_plan,
@@ -237,6 +238,17 @@ def test_the_text_of_a_prediction_has_its_positions_effects_notes_and_decision()
         tolerance = Tolerance(factor * u_deg)
         second = "\n".join(prediction_lines(made, tolerance=tolerance)).splitlines()[1]
         assert second.startswith("decides") is decides
+
+
+def test_an_effect_without_its_condition_is_not_predicted_whatever_its_reason():
+    made = predict(plan("mmpm"), Bench(0.02))
+    unseen = {
+        "supply_bias": Detectable(None, "", "", "no supply", ("supply_v",)),
+        "cubic": Detectable(None, "", "", "its samples are not recorded"),
+    }
+    lines = list(prediction_lines(replace(made, sight=replace(made.sight, detectable=unseen))))
+    assert "  supply_bias: not predicted" in lines
+    assert "  cubic: its samples are not recorded" in lines
 
 
 def test_cells_run_down_the_columns_of_a_line_of_eighty_characters():

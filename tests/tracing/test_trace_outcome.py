@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from adis_gonio.base.uncertainty import Value
+from adis_gonio.base.uncertainty import Detectable, Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings, Unit, from_means
 from adis_gonio.fitting.estimation.terms import Term
@@ -881,8 +881,9 @@ class TestDetectable:
         fitted = function("same", lambda c: c.supply_v - 5.0, ("supply",))
         terms = [*labelled(data, "supply_bias[x]", "quadratic[x]"), fitted]
         selection = chosen(data, terms, ((2,), 1.0))
-        told = detectable(selection.found, selection.verdict.best, {"creep": "not recorded"})
-        assert told["creep"].reason == "not recorded"
+        creep = Detectable(None, "", "", "not recorded")
+        told = detectable(selection.found, selection.verdict.best, {"creep": creep})
+        assert told["creep"] is creep
         assert told["supply_bias"].amplitude is None
         assert told["supply_bias"].reason == "lies in what is fitted already"
         assert told["cubic"].reason == "lies in the base model: this session cannot show it"

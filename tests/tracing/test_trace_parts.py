@@ -1149,8 +1149,10 @@ class TestAverages:
 class TestNamedCandidates:
     def test_why_an_effect_is_no_candidate_is_said(self) -> None:
         missing = named_terms(noisy(turn(), 53))[1]
-        assert missing["bias_temperature"] == "temperature_c not recorded"
-        assert missing["saturation"] == "looked for within the dwells"
+        assert missing["bias_temperature"].reason == "temperature_c not recorded"
+        assert missing["bias_temperature"].lacking == ("temperature_c",)
+        assert missing["saturation"].lacking == ()
+        assert missing["saturation"].reason == "looked for within the dwells"
         free = from_means(G * np.eye(3), np.tile(np.eye(3), (3, 1, 1)), Conditions(np.arange(3.0)))
         assert "stage_eccentricity" in named_terms(free)[1]
 

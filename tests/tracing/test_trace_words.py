@@ -149,9 +149,10 @@ def test_effects_that_were_not_found_are_grouped_by_what_the_session_could_have_
     sizes = {"quadratic": 0.1, "cubic": 20.0, "asymmetry": 1e9, "cross_quadratic": 0.1, "bias": 1.0}
     units = {"quadratic": "k2_x", "cubic": "k3_x", "asymmetry": "asymmetry_x"}
     seen = {name: Detectable(size, "mg", units.get(name, "")) for name, size in sizes.items()}
-    seen["bias_temperature"] = Detectable(None, "mg", "", "temperature_c, temperature_history not recorded")
-    seen["supply_bias"] = Detectable(None, "mg", "", "supply_v not recorded")
-    seen["vibration_rectification"] = Detectable(None, "mg", "", "variance_mg2 not recorded")
+    warm = ("temperature_c", "temperature_history")
+    seen["bias_temperature"] = Detectable(None, "mg", "", "is missing", warm)
+    seen["supply_bias"] = Detectable(None, "mg", "", "is missing", ("supply_v",))
+    seen["vibration_rectification"] = Detectable(None, "mg", "", "is missing", ("variance_mg2",))
     seen["tone"] = Detectable(None, "mg", "tone", "looked for within the dwells")
     found = words.sight(result(detectable=seen, found=(finding("bias"),)))
     assert found.visible == ["quadratic", "cross_quadratic"]

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from adis_gonio.base.arrays import Floats
-from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.base.jsonable import HIDDEN, JsonRecord
 from adis_gonio.base.numbers import format_uncertain
 
 INADEQUATE = 0.01
@@ -195,9 +195,12 @@ class Detectable(JsonRecord):
         Name of the effect's parameter that has this amplitude.
     reason : str
         Reason if `amplitude` is None, else empty.
+    lacking : tuple of str
+        Names of the conditions that the effect needs and the session did not record.
     """
 
     amplitude: float | None
     unit: str
     parameter: str
     reason: str = ""
+    lacking: tuple[str, ...] = field(default=(), metadata=HIDDEN)

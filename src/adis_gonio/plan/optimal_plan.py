@@ -799,7 +799,7 @@ def _sight_lines(sight: Sight) -> Iterator[str]:
     blind = defaultdict(list)
     for name, one in sight.detectable.items():
         if one.amplitude is None:
-            blind["not predicted" if "not recorded" in one.reason else one.reason].append(name)
+            blind["not predicted" if one.lacking else one.reason].append(name)
         else:
             cells.append(f"{name} {with_unit(format_number(one.amplitude, 2), one.unit)}")
     if cells:

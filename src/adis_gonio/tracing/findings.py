@@ -554,11 +554,11 @@ _POWER_90 = 1.2815515655446004
 
 
 def detectable(
-    found: Search, model: Model, missing: dict[str, str], part: str = "accelerometer"
+    found: Search, model: Model, missing: dict[str, Detectable], part: str = "accelerometer"
 ) -> dict[str, Detectable]:
     """Return the smallest amplitude of each effect that the search would find with 90 % probability.
 
-    `model` is the chosen model; `missing` has the reason of each effect that is not a candidate, and `part`
+    `model` is the chosen model; `missing` has the entry of each effect that is not a candidate, and `part`
     is `accelerometer` or `gyro`. A column c of an effect, projected off base and model, has a score z ~
     N(|c| a, 1) for an amplitude a. The effect is added if z² > 2 × its price, hence a = (√(2 price) +
     1.28)/|c|, where 1.28 is the 90 % quantile of N(0, 1). The result is the worst of several axes and the
@@ -592,7 +592,7 @@ def detectable(
             amplitude = float(reach / length) if length > 1e-9 else np.inf
             figures[name, term.effect.parameters[index]].append(amplitude)
     medians = {key: float(np.median(values)) for key, values in figures.items()}
-    out = {name: Detectable(None, "", "", reason) for name, reason in missing.items()}
+    out = dict(missing)
     for name in dict.fromkeys(name for name, _ in medians):
         key = max((key for key in medians if key[0] == name), key=medians.__getitem__)
         seen = bool(np.isfinite(medians[key]))

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from adis_gonio.base.arrays import Floats
+from adis_gonio.base.uncertainty import Detectable
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, Parameter, catalogue
@@ -41,26 +42,26 @@ def prior_weight(kind: type[Effect]) -> float:
     return {"constant": constant, "curvature": curvature, "force": force}.get(kind.prior, 1.0)
 
 
-def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, str]]:
-    """Return the candidate terms of all named effects, and the reason for each effect without candidates.
+def named_terms(data: Readings) -> tuple[list[NamedTerm], dict[str, Detectable]]:
+    """Return the candidate terms of all named effects, and an entry for each effect without candidates.
 
     A bias of all axes has nearly the whole prior, since each axis of a real part has a bias. Each other
     effect has a fixed share. Its forms (combinations of axes, dwell, degree and shape) divide it evenly;
     its numbers of cycles n divide it as 1/n, so that every octave has the same probability.
     """
     terms: list[NamedTerm] = []
-    missing: dict[str, str] = {}
+    missing: dict[str, Detectable] = {}
     kinds = catalogue(data.model.part)
     for name, kind in kinds.items():
         if kind.enters is Enters.SAMPLES or kind.within_dwell:
-            missing[name] = "looked for within the dwells"
+            missing[name] = Detectable(None, "", "", "looked for within the dwells")
             continue
         lacking = data.conditions.lacks(kind.needs)
         if lacking:
-            missing[name] = f"{', '.join(lacking)} not recorded"
+            missing[name] = Detectable(None, "", "", f"{', '.join(lacking)} not recorded", lacking)
             continue
         if kind.enters is Enters.ATTITUDE and not data.planar:
-            missing[name] = "attitudes are free"
+            missing[name] = Detectable(None, "", "", "attitudes are free")
             continue
         variants = list(_variants(kind, data))
         parts = np.array([1 / getattr(effect, "cycles", 1) for effect, _ in variants])

@@ -191,7 +191,7 @@ class TraceRun:
     data, measured : Readings
         `data` has the readings of all dwells; their noise includes the dwell-to-dwell scatter, if there is
         any. `measured` has the readings without check dwells, with the measured noise.
-    terms, missing : list of Term, mapping of str to str
+    terms, missing : list of Term, mapping of str to Detectable
         Candidate terms; for each effect that is not a candidate, the reason.
     selection, scatter : Selection, Scatter or None
         The chosen model; the dwell-to-dwell scatter under which it was chosen, None without scatter.
@@ -226,7 +226,7 @@ class TraceRun:
         if request:
             self.terms, self.max_effects = request.candidates(self.measured, self.terms, max_effects)
             gone = catalogue(data.model.part) if request.only else request.exclude
-            self.missing |= dict.fromkeys(gone, "left out of the model as asked")
+            self.missing |= dict.fromkeys(gone, Detectable(None, "", "", "left out of the model as asked"))
         self.forced = [term.name for term in self.terms if term.forced and term.name is not None]
 
     def traced(self) -> TraceResult:

@@ -403,7 +403,7 @@ def sight(result: TraceResult) -> SightGroups:
         if name in undecided:
             seen.open.append(name)
         elif entry.amplitude is None:
-            reason = _reason(entry.reason or "its trace lies in what is fitted")
+            reason = _reason(entry)
             seen.blind.setdefault(reason, []).append(name)
         elif prototype is not None and entry.amplitude > prototype.high:
             reason = "too little of what drives it; no physical amplitude would show"
@@ -444,9 +444,9 @@ def advice(result: TraceResult) -> Sequence[str]:
     return result.advice or ("nothing: the session answers what it was asked",)
 
 
-def _reason(reason: str) -> str:
+def _reason(entry: Detectable) -> str:
     """Return in words why an effect cannot show; names of recorded fields are replaced by usual words."""
-    if reason == "looked for within the dwells":
+    if entry.reason == "looked for within the dwells":
         return "they change the samples of a dwell, which this session does not hold"
     words = {
         "temperature_c, temperature_history": "temperature",
@@ -460,8 +460,9 @@ def _reason(reason: str) -> str:
         "rate_dps": "turns between dwells",
         "rate_dps, temperature_c": "turns between dwells, or the temperature,",
     }
-    field = reason.removesuffix(" not recorded")
-    return f"{words[field]} not recorded" if field in words else reason.replace("_", " ")
+    if lacking := ", ".join(entry.lacking):
+        return f"{words.get(lacking, lacking.replace('_', ' '))} not recorded"
+    return entry.reason.replace("_", " ") or "its trace lies in what is fitted"
 
 
 def _parameter(name: str, entry: Detectable) -> Parameter | None:

@@ -26,7 +26,7 @@ import numpy as np
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import HIDDEN, INLINE, JsonRecord, key
-from adis_gonio.base.uncertainty import Value
+from adis_gonio.base.uncertainty import Detectable, Value
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
@@ -243,16 +243,16 @@ def _formula(data: Readings, about: Fit, text: str) -> NamedTerm:
 
 
 def _variants(
-    data: Readings, text: str, named: Sequence[NamedTerm], missing: dict[str, str]
+    data: Readings, text: str, named: Sequence[NamedTerm], missing: dict[str, Detectable]
 ) -> list[NamedTerm]:
     """Return the candidates of the catalogue that a text such as `bias_temperature:xy,degree=2` allows.
 
-    `named` are all named candidates; `missing` has the reason for each effect without a candidate.
+    `named` are all named candidates; `missing` has the reason of each effect without a candidate.
     """
     name, _, listed = (part.strip() for part in text.partition(":"))
     kind = type(effect(name))
     if name in missing:
-        raise UsageError(f"--with {text}: {missing[name].replace('_', ' ')}")
+        raise UsageError(f"--with {text}: {missing[name].reason.replace('_', ' ')}")
     mine = [term for term in named if term.name == name]
     axes, choices = "", {}
     for item in filter(None, (item.strip() for item in listed.split(","))):
