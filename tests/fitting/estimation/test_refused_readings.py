@@ -24,9 +24,13 @@ def test_readings_in_another_unit_name_the_unit_that_would_fit() -> None:
     with pytest.raises(DataError) as caught:
         readings_of(turn(1.0, source="bench.csv"))
     said = str(caught.value)
-    assert said.startswith("bench.csv: by accel_unit mg and sensor generic, readings are 0.001 g long, not")
+    assert said.startswith(
+        "bench.csv: by accel_unit mg and sensor generic, readings are 0.00100 g long, not"
+    )
     assert "; g would fit: add a line '# accel_unit: g', or give --unit g" in said
     assert said.endswith("; a plane that is turned has to be vertical")
+    with pytest.raises(DataError, match=r"readings are 1000 g long.*; mg would fit"):
+        readings_of(turn(1000.0, accel_unit="g"))
     with pytest.raises(DataError, match="mps2 would fit") as caught:
         readings_of(turn(9.81, accel_unit="g"))
     assert "vertical" not in str(caught.value)

@@ -42,7 +42,7 @@ from adis_gonio.base.arrays import Floats, block_means
 from adis_gonio.base.budget import current
 from adis_gonio.base.errors import DataError, FitError, UsageError
 from adis_gonio.base.jsonable import ComputedOnce
-from adis_gonio.base.numbers import counted, name_positions
+from adis_gonio.base.numbers import counted, format_number, name_positions
 from adis_gonio.device.sensor.registers import VARIANTS
 from adis_gonio.fitting.estimation import screening, spectrum
 from adis_gonio.fitting.estimation.links import Links
@@ -416,7 +416,7 @@ def _refuse_other_units(session: Session, readings: Readings) -> None:
     also = "; a plane that is turned has to be vertical" if session.plane == "xy" and length < 1 else ""
     raise DataError(
         f"{source}: by accel_unit {session.accel_unit} and sensor {session.sensor}, readings are "
-        f"{length:.3g} g long, not 1 g; state the unit of the file, or counts if it is unknown"
+        f"{format_number(length)} g long, not 1 g; state the unit of the file, or counts if it is unknown"
         f"{_as_another(session, length)}{also}"
     )
 
