@@ -16,6 +16,7 @@ from adis_gonio.fitting.estimation.readings import readings_of
 from adis_gonio.fitting.slips.session_positions import Named, PositionFinding
 from adis_gonio.handover.calibration_report import (
     build_page,
+    detection_section,
     facts,
     fitted_section,
     found_section,
@@ -23,7 +24,6 @@ from adis_gonio.handover.calibration_report import (
     positions_section,
     residual_section,
     rivals_section,
-    sight_section,
 )
 from adis_gonio.model.effects import Conditions, effect
 from adis_gonio.model.records import Dwell, Session
@@ -31,7 +31,7 @@ from adis_gonio.page.document import Figure, Section, Series, Table, plot
 from adis_gonio.record.loading import Overrides
 from adis_gonio.tracing.trace_figures import views_of
 from adis_gonio.tracing.trace_result import Unnamed
-from adis_gonio.tracing.trace_summary import headline, how_sure, sight
+from adis_gonio.tracing.trace_summary import group_undetected, headline, how_sure
 from adis_gonio.tracing.traced_answer import answer_with_trace
 
 
@@ -386,18 +386,20 @@ def test_an_inadequate_model_is_never_said_to_reach_the_noise(curved):
 
 
 def test_effects_of_what_was_not_recorded_are_said_to_be_unseen(curved):
-    reasons = {name: reason for reason, names in sight(curved[1]).blind.items() for name in names}
+    reasons = {
+        name: reason for reason, names in group_undetected(curved[1]).blind.items() for name in names
+    }
     assert reasons["bias_temperature"] == "temperature not recorded"
     assert "supply" in reasons["supply_bias"]
 
 
 def test_every_effect_that_was_looked_for_has_a_row_with_its_conclusion(curved):
     result = curved[1]
-    (table,) = sight_section(result).tables
+    (table,) = detection_section(result).tables
     conclusions = {name: row[-1] for row in table.rows for name in row[0].split(", ")}
     assert set(conclusions) == set(result.detectable)
     assert conclusions["quadratic"] == "found"
-    assert {conclusions[name] for name in sight(result).weak} == {"absent or smaller"}
+    assert {conclusions[name] for name in group_undetected(result).weak} == {"absent or smaller"}
 
 
 def certificate_of(page):

@@ -9,7 +9,7 @@ import pytest
 
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.tracing.trace import TraceRun
-from adis_gonio.tracing.what_if import Bought, best_by_terms, bought_by_terms
+from adis_gonio.tracing.what_if import BestOfSize, best_by_size, heldout_by_size
 from tracing.small_problems import U, ideal_mg, labelled, read, surroundings
 
 LABELS = ("bias[xy]", "quadratic[x]", "cubic[x]", "bias_drift[x]", "asymmetry[y]")
@@ -34,21 +34,21 @@ def run() -> TraceRun:
 
 
 @pytest.fixture(scope="module")
-def bought(run: TraceRun) -> list[Bought]:
-    return run.result.bought()
+def bought(run: TraceRun) -> list[BestOfSize]:
+    return run.result.further_terms()
 
 
 def test_the_model_of_each_number_is_the_best_of_all_models_of_this_number(run: TraceRun) -> None:
     found = run.selection.found
     problem = found.problem
-    for size, (fit, evidence) in enumerate(best_by_terms(run.selection, run.fits)):
+    for size, (fit, evidence) in enumerate(best_by_size(run.selection, run.fits)):
         heights = {}
         for model in itertools.combinations(range(len(problem.terms)), size):
             prices = sum(found.prices[k] for k in model)
             heights[frozenset(problem.terms[k].label for k in model)] = 0.5 * problem.gain(model) - prices
         assert frozenset(term.label for term in fit.terms) == max(heights, key=heights.__getitem__)
         assert evidence == pytest.approx(max(heights.values()), abs=1e-6)
-    assert [one.chosen for one in run.result.bought()] == [False, False, True, False]
+    assert [one.chosen for one in run.result.further_terms()] == [False, False, True, False]
 
 
 def test_errors_are_those_of_leaving_each_fold_out_by_hand(run: TraceRun, bought) -> None:
@@ -68,7 +68,7 @@ def test_the_uncertainty_of_a_gain_is_its_scatter_over_sessions() -> None:
         run.terms = labelled(data, *LABELS[:2])
         run.search()
         run.nest(run.selection)
-        last = bought_by_terms(run.selection, run.fits, run.fold)[2]
+        last = heldout_by_size(run.selection, run.fits, run.fold)[2]
         gains.append(last.gain)
         stated.append(last.u)
     assert 0.5 < np.std(gains) / np.median(stated) < 2

@@ -251,10 +251,10 @@ class TestFolds:
         monkeypatch.setattr(validation, "select", lambda *_, **__: SimpleNamespace(fit="choice"))
         monkeypatch.setattr(validation, "average", average)
         averaged: Any = SimpleNamespace(promising="promising")
-        told: Any = Fold([], averaged, 2).chosen_anew(self.data)
+        told: Any = Fold([], averaged, 2).choose_in_fold(self.data)
         assert told == ("average" if again else "choice")
         assert asked == ["promising"]
-        alone: Any = Fold([], None, 2).chosen_anew(self.data)
+        alone: Any = Fold([], None, 2).choose_in_fold(self.data)
         assert alone == "choice"
         assert asked == ["promising"]
 

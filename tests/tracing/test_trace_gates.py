@@ -17,7 +17,7 @@ from adis_gonio.tracing.linear_problem import amplitudes
 from adis_gonio.tracing.named_candidates import named_terms
 from adis_gonio.tracing.selection import select
 from adis_gonio.tracing.trace_result import TraceResult
-from adis_gonio.tracing.validation import never_worse
+from adis_gonio.tracing.validation import cut_worse_steps
 
 
 def forth_and_back(bias=(8.0, -5.0), k2_x=0.0, slip_mg=0.0, seed=3, slip_deg=0.0) -> Session:
@@ -114,7 +114,7 @@ def test_a_dwell_that_was_left_out_is_not_predicted_by_its_own_slip() -> None:
 )
 def test_the_model_is_the_longest_that_is_not_worse_than_nothing(errors, count: int) -> None:
     names = Names(("bias", "quadratic", "cubic"), {}, ())
-    kept, left = never_worse(names, names.accepted, errors, None)
+    kept, left = cut_worse_steps(names, names.accepted, errors, None)
     assert kept == count
     assert left.accepted == names.accepted[:count]
     assert set(left.rejected) == set(names.accepted[count:])
@@ -124,8 +124,8 @@ def test_the_model_is_the_longest_that_is_not_worse_than_nothing(errors, count: 
 def test_stated_errors_are_compared_with_each_other_and_not_with_those_of_other_dwells() -> None:
     names = Names(("bias", "quadratic"), {}, ())
     errors = (2.0, 0.5, 0.1)
-    assert never_worse(names, names.accepted, errors, (9.0, 4.0))[0] == 2
-    count, left = never_worse(names, names.accepted, errors, (3.0, 4.0))
+    assert cut_worse_steps(names, names.accepted, errors, (9.0, 4.0))[0] == 2
+    count, left = cut_worse_steps(names, names.accepted, errors, (3.0, 4.0))
     assert count == 1
     assert left.accepted == ("bias",)
     assert left.rejected == {"quadratic": "the held-out error would go from 3 to 4 mg with it"}

@@ -36,11 +36,11 @@ from adis_gonio.tracing.selection import select
 from adis_gonio.tracing.trace_result import Finding
 from adis_gonio.tracing.validation import (
     Fold,
+    cut_worse_steps,
     determined,
     folds,
     guard_errors,
     nest_fits,
-    never_worse,
     reject_unchecked,
 )
 from tracing.small_problems import (
@@ -361,8 +361,8 @@ class TestLeftOutDwells:
     @pytest.mark.parametrize(("growth", "kept"), [(1.04, 1), (1.08, 0)])
     def test_an_effect_may_raise_the_left_out_error_by_a_twentieth(self, growth: float, kept: int) -> None:
         names = Names(("cubic",), {}, ())
-        assert never_worse(names, names.accepted, (0.5, 0.5 * growth), None)[0] == kept
-        assert never_worse(names, names.accepted, (0.5, 0.5), (0.3, 0.3 * growth))[0] == kept
+        assert cut_worse_steps(names, names.accepted, (0.5, 0.5 * growth), None)[0] == kept
+        assert cut_worse_steps(names, names.accepted, (0.5, 0.5), (0.3, 0.3 * growth))[0] == kept
 
 
 class TestWhatIsSaid:

@@ -46,13 +46,13 @@ from adis_gonio.tracing.trace import disagreement_of, refuse_too_few, weak_names
 from adis_gonio.tracing.trace_result import ErrorFigures, Finding
 from adis_gonio.tracing.validation import (
     Fold,
+    cut_worse_steps,
     disagreement_p_value,
     error_figures,
     guard_errors,
+    harmful_functions,
     longest_acceptable,
     nest_fits,
-    never_worse,
-    refuted_functions,
     reject_names,
     reject_unchecked,
     without_folds,
@@ -788,16 +788,16 @@ class TestSurvival:
     ) -> None:
         assert longest_acceptable(errors, 2) == steps
         names = Names(("bias", "cubic"), {}, ())
-        count, left = never_worse(names, ("bias", "cubic"), errors, None)
+        count, left = cut_worse_steps(names, ("bias", "cubic"), errors, None)
         assert count == steps
         assert left.accepted == ("bias", "cubic")[:steps]
         assert set(left.rejected) == {"bias", "cubic"} - set(left.accepted)
 
     def test_the_reason_has_the_errors_with_and_without_it_in_their_unit(self) -> None:
         names = Names(("bias", "cubic"), {}, ())
-        left = never_worse(names, ("bias", "cubic"), (1.0, 0.5, 0.75), None, "dps")[1]
+        left = cut_worse_steps(names, ("bias", "cubic"), (1.0, 0.5, 0.75), None, "dps")[1]
         assert left.rejected == {"cubic": "the held-out error would go from 0.5 to 0.75 dps with it"}
-        stated = never_worse(names, ("bias",), (1.0, 0.5), (0.2, 0.4))[1]
+        stated = cut_worse_steps(names, ("bias",), (1.0, 0.5), (0.2, 0.4))[1]
         assert stated.rejected == {"bias": "the held-out error would go from 0.2 to 0.4 mg with it"}
 
     def test_functions_that_only_longer_models_have_are_refuted_and_names_are_not(self) -> None:
@@ -807,9 +807,9 @@ class TestSurvival:
             SimpleNamespace(terms=terms) for terms in ((), (wave,), (wave, line), (wave, line, cubic))
         ]
         selection: Any = SimpleNamespace(terms=(wave, line, cubic))
-        assert refuted_functions(selection, fits, [1.0, 0.5, 0.6, 0.6]) == [line]
-        assert refuted_functions(selection, fits, [1.0, 0.5, 0.5, 0.5]) == []
-        assert refuted_functions(selection, fits[:3], [1.0, 0.5, 0.4]) == []
+        assert harmful_functions(selection, fits, [1.0, 0.5, 0.6, 0.6]) == [line]
+        assert harmful_functions(selection, fits, [1.0, 0.5, 0.5, 0.5]) == []
+        assert harmful_functions(selection, fits[:3], [1.0, 0.5, 0.4]) == []
 
     def test_of_a_model_that_leaves_too_few_readings_all_names_but_a_bias_are_open_with_the_reason(
         self,
@@ -827,7 +827,7 @@ class TestSurvival:
     def test_a_name_of_which_one_term_stays_is_not_taken_away(self) -> None:
         names = Names(("bias", "outlier_dwell"), {}, ())
         steps = ("bias", "outlier_dwell", "outlier_dwell")
-        assert never_worse(names, steps, (1.0, 0.5, 0.3, 0.6), None) == (2, names)
+        assert cut_worse_steps(names, steps, (1.0, 0.5, 0.3, 0.6), None) == (2, names)
 
     def test_names_are_weak_by_what_is_likelier_what_was_not_checked_and_what_is_no_larger_than_its_u(
         self,

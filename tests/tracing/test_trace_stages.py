@@ -364,12 +364,12 @@ class TestGuard:
         to_go = {(): ["wave"], ("wave",): ["line"], ("wave", "line"): []}
         monkeypatch.setattr(stages.TraceRun, "nest", nest)
         monkeypatch.setattr(
-            validation, "refuted_functions", lambda selection, fits, errors: to_go[selection.gone]
+            validation, "harmful_functions", lambda selection, fits, errors: to_go[selection.gone]
         )
         run = stages.TraceRun(biased(), 3, ())
         run.selection = model()
         with within(Budget(left_out=list(left_out))):
-            run.drop_refuted_functions()
+            run.drop_harmful_functions()
         assert without == chosen_without
         assert run.selection.gone == tuple(chosen_without)
 

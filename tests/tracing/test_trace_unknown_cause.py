@@ -14,7 +14,7 @@ from adis_gonio.tracing.credible_sets import probability_of
 from adis_gonio.tracing.linear_problem import linearise, span
 from adis_gonio.tracing.model_search import Search
 from adis_gonio.tracing.named_candidates import named_terms
-from adis_gonio.tracing.scatter import beside_unknown_cause, likeliest_size, unknown_features
+from adis_gonio.tracing.scatter import compete_with_unknown, likeliest_size, unknown_features
 from adis_gonio.tracing.selection import Selection, select
 from adis_gonio.tracing.trace import trace_readings
 from tracing.small_problems import U, function, ideal_mg, noisy, read, surroundings, turn
@@ -87,7 +87,7 @@ def test_an_adequate_selection_is_judged_by_its_own_noise() -> None:
     data = noisy(turn(), 5)
     chosen = select(data, named_terms(data)[0], 2)
     assert chosen.adequate
-    assert beside_unknown_cause(chosen, 2) is chosen
+    assert compete_with_unknown(chosen, 2) is chosen
 
 
 def test_a_wrong_name_for_an_unknown_cause_is_less_certain_beside_it() -> None:
@@ -95,7 +95,7 @@ def test_a_wrong_name_for_an_unknown_cause_is_less_certain_beside_it() -> None:
     for seed in range(8):
         chosen = selection(seed)
         assert not chosen.adequate
-        judged = beside_unknown_cause(chosen, 3)
+        judged = compete_with_unknown(chosen, 3)
         assert judged.verdict.best == chosen.verdict.best
         assert isinstance(judged.found, Search)
         for beside, one in ((False, chosen), (True, judged)):
@@ -111,7 +111,7 @@ def test_a_large_effect_beside_an_unknown_cause_keeps_its_name() -> None:
     data = replace(data, mean=data.mean + rough(9) + curved)
     chosen = select(data, named_terms(data)[0], 3)
     assert not chosen.adequate
-    judged = beside_unknown_cause(chosen, 3)
+    judged = compete_with_unknown(chosen, 3)
     assert probability_of(judged, "quadratic") > 0.9
 
 

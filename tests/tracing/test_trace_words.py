@@ -154,7 +154,7 @@ def test_effects_that_were_not_found_are_grouped_by_what_the_session_could_have_
     seen["supply_bias"] = Detectable(None, "mg", "", "is missing", ("supply_v",))
     seen["vibration_rectification"] = Detectable(None, "mg", "", "is missing", ("variance_mg2",))
     seen["tone"] = Detectable(None, "mg", "tone", "looked for within the dwells")
-    found = words.sight(result(detectable=seen, found=(finding("bias"),)))
+    found = words.group_undetected(result(detectable=seen, found=(finding("bias"),)))
     assert found.visible == ["quadratic", "cross_quadratic"]
     assert found.weak == ["cubic"]
     assert found.open == []
@@ -171,7 +171,7 @@ def test_effects_that_were_not_found_are_grouped_by_what_the_session_could_have_
         {"reasons": {"cubic": "few angles", "quadratic": "few angles"}},
         {"steps": (step("cubic"), step("quadratic"))},
     ):
-        open_ = words.sight(result(detectable=seen, found=(finding("bias"),), **other))
+        open_ = words.group_undetected(result(detectable=seen, found=(finding("bias"),), **other))
         assert open_.open == ["quadratic", "cubic"]
         assert (open_.visible, open_.weak) == (["cross_quadratic"], [])
 

@@ -395,7 +395,7 @@ def further_terms_section(traced: TraceResult) -> Section:
 
     It has a table and two figures.
     """
-    bought = traced.bought()
+    bought = traced.further_terms()
     if not bought:
         return Section("What each further term buys")
     unit = traced.before.unit
@@ -447,12 +447,12 @@ def rivals_section(traced: TraceResult) -> Section:
     return Section("Other probable models", tables=[table], notes=same, folded=True)
 
 
-def sight_section(traced: TraceResult) -> Section:
+def detection_section(traced: TraceResult) -> Section:
     """Return the section with the smallest amplitude of each effect that the session would have shown.
 
     It also states if the effect was found, is absent or remains open.
     """
-    seen = words.sight(traced)
+    seen = words.group_undetected(traced)
     effects_found = {finding.effect for finding in traced.found}
     rows = []
     for names, verdict in (
@@ -647,7 +647,7 @@ def build_page(
         body += [*what_if_section(result), found_section(result), errors_section(result)]
         body += [further_terms_section(result), steps_section(result, shown)]
         body += [residual_section(shown), within_section(result)]
-        body += [rivals_section(result), sight_section(result)]
+        body += [rivals_section(result), detection_section(result)]
         body += [Section("What to measure next", points=words.advice(result))]
     body += [*sections, data_section(session, result, known)]
     return render(

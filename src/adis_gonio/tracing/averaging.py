@@ -240,10 +240,10 @@ def _average(selection: Selection, candidates: Sequence[NamelessTerm] | None) ->
     fixed = np.concatenate(
         [jacobian[:, : len(fit.values.base)], *(jacobian[:, fit.slice_of(index)] for index in own)], axis=1
     )
-    beside = orthonormal(fixed)
-    left = target - beside @ (beside.T @ target)
+    others = orthonormal(fixed)
+    left = target - others @ (others.T @ target)
     candidates = processes(data) if candidates is None else candidates
-    smooth = evidence(fit, beside, left, candidates, selection.inflation)
+    smooth = evidence(fit, others, left, candidates, selection.inflation)
     ranked = np.argsort(-smooth)[: limits.promising].tolist()
     promising = tuple(candidates[k] for k in ranked)
     pool: list[tuple[float, tuple[NamelessTerm, ...]]] = [
@@ -402,8 +402,8 @@ def solve_ridge(
     added = columns[:, fixed.shape[1] :] @ solved[fixed.shape[1] :]
     visible = 1.0
     if all(term.prior_sd is None for term in terms) and added.any():
-        beside = orthonormal(fixed)
-        left = added - beside @ (beside.T @ added)
+        others = orthonormal(fixed)
+        left = added - others @ (others.T @ added)
         visible = float(np.linalg.norm(left) / np.linalg.norm(added))
     cuts = np.cumsum([fixed.shape[1], *(block.shape[1] for block in blocks)]).tolist()
     places = tuple(itertools.starmap(slice, itertools.pairwise(cuts)))
@@ -470,12 +470,12 @@ def processes(data: Readings) -> list[NamelessTerm]:
 
 def evidence(
     fit: Fit,
-    beside: Floats,
+    others: Floats,
     target: Floats,
     candidates: Sequence[NamelessTerm],
     inflation: float = 1.0,
 ) -> Floats:
-    """Return for each of m processes its log evidence plus the log of its prior probability, (m,) in nats.
+    """Return the log evidence of each of m processes plus its log prior probability, (m,) in nats.
 
     `candidates` are the processes, each a possible unnamed function.
 
@@ -483,10 +483,10 @@ def evidence(
     ----------
     fit : Fit
         Fit about which the processes are linear.
-    beside : (rows, k) float
+    others : (rows, k) float
         Orthonormal whitened columns of the other terms of the model; their amplitudes have flat priors.
     target : (rows,) float
-        Whitened readings minus their projection on `beside`.
+        Whitened readings minus their projection on `others`.
     inflation : float
         Factor on the measured noise variance.
     """
@@ -497,7 +497,7 @@ def evidence(
         if key not in spectra:
             # Processes that differ in amplitude only share the spectrum of their whitened features.
             white = fit.white(fit.candidate(term))
-            white = white - beside @ (beside.T @ white)
+            white = white - others @ (others.T @ white)
             values, vectors = np.linalg.eigh(white.T @ white)
             spectra[key] = np.maximum(values, 0.0), (vectors.T @ (white.T @ target)) ** 2
         values, scores2 = spectra[key]

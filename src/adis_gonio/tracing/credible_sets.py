@@ -77,13 +77,13 @@ def judge(selection: Selection, averaged: AveragedFit | None = None) -> Names:
     confounded: list[tuple[str, ...]] = []
     for name in dict.fromkeys(term.name for term in model if term.name is not None):
         mine = [term for term in model if term.name == name]
-        beside = [u for u in unknown if any(related(term, u) for term in mine)]
+        rivals = [u for u in unknown if any(related(term, u) for term in mine)]
         probability = verdict.names.get(name, 0.0)
         if probability < limits.certain:
             rejected[name] = f"models without it have {format_percent(1 - probability)} of the posterior"
-        elif beside:
+        elif rivals:
             rejected[name] = "may be a piece of the same unnamed cause"
-            confounded.append((name, *(u.shown_as for u in beside)))
+            confounded.append((name, *(u.shown_as for u in rivals)))
         else:
             accepted.append(name)
     confounded += _replacements(selection)

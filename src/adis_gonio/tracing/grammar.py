@@ -97,7 +97,7 @@ def harmonics(orders: Sequence[float]) -> Shape:
 
 
 @dataclass(frozen=True)
-class _Made:
+class _Function:
     """An unnamed function as a candidate: its basis functions, and its possible places in the model.
 
     `family` is the covariate, or the group of covariates, whose functions share one part of the prior.
@@ -138,7 +138,7 @@ def nameless_terms(data: Readings) -> list[NamelessTerm]:
     return terms
 
 
-def _bases(data: Readings) -> Iterator[_Made]:
+def _bases(data: Readings) -> Iterator[_Function]:
     """Yield all candidate functions that a session can show, one family of covariates after another."""
     conditions = data.conditions
     driving = {"reading": _of_reading, "force": _of_force, "rotation": _of_rotation}
@@ -179,7 +179,7 @@ def _formula(
     *,
     covariates: tuple[str, ...] = (),
     smooth: bool = False,
-) -> _Made:
+) -> _Function:
     """Return a candidate made from a function of the conditions.
 
     Parameters
@@ -198,24 +198,25 @@ def _formula(
         True if the function approximates one without a formula, False for a formula.
     """
     basis = Basis(form, covariates or (family,), lambda c: _as_columns(columns(c)), None, smooth)
-    return _Made(family, basis, tuple(places))
+    return _Function(family, basis, tuple(places))
 
 
-def _with_constant(made: _Made) -> _Made:
+def _with_constant(plain: _Function) -> _Function:
     """Return a candidate that is a function of the conditions plus a constant bias, its first column."""
 
     def matrix(conditions: Conditions) -> Floats:
-        assert made.basis.common is not None
-        rows = made.basis.common(conditions)
+        assert plain.basis.common is not None
+        rows = plain.basis.common(conditions)
         return np.hstack([np.ones((len(rows), 1)), rows])
 
-    form = f"{made.basis.form} + const"
-    return _Made(made.family, replace(made.basis, form=form, common=matrix, with_constant=True), ("bias",))
+    form = f"{plain.basis.form} + const"
+    basis = replace(plain.basis, form=form, common=matrix, with_constant=True)
+    return _Function(plain.family, basis, ("bias",))
 
 
-def _both(
+def _variants(
     family: str, form: str, columns: Columns, named: Sequence[str] = (), **others: Any
-) -> Iterator[_Made]:
+) -> Iterator[_Function]:
     """Yield a formula as a candidate and, if no named effect has it, the formula plus a constant bias.
 
     `named` lists the places where the catalogue already contains this formula. The other parameters are as
@@ -228,22 +229,22 @@ def _both(
         yield _with_constant(made)
 
 
-def _of_own(
+def _of_own_axis(
     family: str, form: str, function: Shape, *, smooth: bool = False, constant: bool = False
-) -> _Made:
+) -> _Function:
     """Return a candidate that is a function of each axis's own reading, or of the rate about this axis.
 
     `family` is the covariate, `form` the text for the function; `smooth` is True if it only approximates a
     function, `constant` if it contains a constant.
     """
-    return _Made(
+    return _Function(
         family,
         Basis(form, (family,), None, lambda a, k: _as_columns(function(a[:, k])), smooth, constant),
         ("bias",),
     )
 
 
-def _of_reading(data: Readings) -> Iterator[_Made]:
+def _of_reading(data: Readings) -> Iterator[_Function]:
     """Yield functions of each axis's own reading a in g, and of the readings a_p of the other axes."""
     single: dict[str, Shape] = {
         "a⁴": lambda a: a**4,
@@ -262,7 +263,7 @@ def _of_reading(data: Readings) -> Iterator[_Made]:
     }
     for knee in (-0.75, -0.5, -0.25, 0.25, 0.5, 0.75):
         single[f"max(a − {knee:g} g, 0)"] = knee_shape(knee, 1.0)
-    yield from (_of_own("reading", form, function) for form, function in single.items())
+    yield from (_of_own_axis("reading", form, function) for form, function in single.items())
     cross: dict[str, Callable[[Floats, Floats], Floats]] = {
         "|a_p|": lambda a, p: np.abs(p),
         "a_p³": lambda a, p: p**3,
@@ -283,16 +284,16 @@ def _of_reading(data: Readings) -> Iterator[_Made]:
             others = [k for k in range(ideal.shape[1]) if k != axis]
             return np.stack([pair(ideal[:, axis], ideal[:, k]) for k in others], axis=1)
 
-        yield _Made("reading", Basis(form, ("reading",), by_axis=columns), ("bias",))
+        yield _Function("reading", Basis(form, ("reading",), by_axis=columns), ("bias",))
     # All powers up to the third degree are named effects.
     for degree in (4, 5, 6):
         form = f"a smooth function of the reading (degree {degree})"
-        yield _of_own("reading", form, legendre(range(2, degree + 1)), smooth=True)
+        yield _of_own_axis("reading", form, legendre(range(2, degree + 1)), smooth=True)
         with_constant = legendre([0, *range(2, degree + 1)])
-        yield _of_own("reading", f"{form} + const", with_constant, smooth=True, constant=True)
+        yield _of_own_axis("reading", f"{form} + const", with_constant, smooth=True, constant=True)
 
 
-def _of_force(data: Readings) -> Iterator[_Made]:
+def _of_force(data: Readings) -> Iterator[_Function]:
     """Yield functions of the accelerometer readings (the force) as candidates for a gyro.
 
     The components and their squares are omitted, because they are named effects.
@@ -344,7 +345,7 @@ def _monomials(powers: Sequence[tuple[int, ...]]) -> Columns:
     )
 
 
-def _of_rotation(data: Readings) -> Iterator[_Made]:
+def _of_rotation(data: Readings) -> Iterator[_Function]:
     """Yield functions of the rate about a gyro's own axis as candidates.
 
     The straight line and the modulus are omitted, because they are named effects.
@@ -358,13 +359,13 @@ def _of_rotation(data: Readings) -> Iterator[_Made]:
         "sign ω": np.sign,
         "|sign ω|": lambda w: np.abs(np.sign(w)),
     }
-    yield from (_of_own("rotation", form, function) for form, function in curves.items())
+    yield from (_of_own_axis("rotation", form, function) for form, function in curves.items())
 
 
-def _of_angle() -> Iterator[_Made]:
+def _of_angle() -> Iterator[_Function]:
     """Yield functions of the stage's angle θ: harmonics, square waves, bumps, smooth functions."""
 
-    def of_angle(form: str, function: Shape, *places: Where, smooth: bool = False) -> _Made:
+    def of_angle(form: str, function: Shape, *places: Where, smooth: bool = False) -> _Function:
         return _formula("angle", form, _over("angle_rad", function), places or ("bias",), smooth=smooth)
 
     # One cycle on an axis is gain and misalignment; cycles of the angle are named effects.
@@ -392,7 +393,7 @@ def _of_angle() -> Iterator[_Made]:
 
 def _waves(
     family: str, angle: str, orders: Sequence[int], places: Sequence[Where], ending: str = ""
-) -> Iterator[_Made]:
+) -> Iterator[_Function]:
     """Yield harmonics of an angle: sine and cosine of each multiple together, then each of them alone.
 
     `family` is the covariate, `angle` its symbol; `ending` follows the text for each function.
@@ -485,35 +486,35 @@ def _recorded(c: Conditions) -> dict[str, _Covariate]:
     }
 
 
-def _of_scalar(one: _Covariate, named: Sequence[str]) -> Iterator[_Made]:
+def _of_scalar(one: _Covariate, named: Sequence[str]) -> Iterator[_Function]:
     """Yield all candidate functions of one covariate, such as the temperature.
 
     `named` lists the places where a line is a named effect.
     """
-    yield from _both(one.name, one.distance, one.from_zero, named)
-    yield from _both(one.name, f"{one.distance}²", lambda c: one.from_zero(c) ** 2)
-    yield from _both(one.name, f"{one.distance}³", lambda c: one.from_zero(c) ** 3)
-    yield from _both(one.name, f"|{one.distance.strip('()')}|", lambda c: np.abs(one.from_zero(c)))
+    yield from _variants(one.name, one.distance, one.from_zero, named)
+    yield from _variants(one.name, f"{one.distance}²", lambda c: one.from_zero(c) ** 2)
+    yield from _variants(one.name, f"{one.distance}³", lambda c: one.from_zero(c) ** 3)
+    yield from _variants(one.name, f"|{one.distance.strip('()')}|", lambda c: np.abs(one.from_zero(c)))
     for rate in (-3.0, -1.5, 1.5, 3.0):
         form = f"exp({rate / one.half:+.3g} {one.letter})"
-        yield from _both(one.name, form, one.inside(growth_shape(rate)))
+        yield from _variants(one.name, form, one.inside(growth_shape(rate)))
     yield from _shapes_of(one, "", ("above", "below"), steps=12, widths=(0.2, 0.45), waves=5)
 
 
-def _of_time(time: _Covariate, named: Sequence[str]) -> Iterator[_Made]:
+def _of_time(time: _Covariate, named: Sequence[str]) -> Iterator[_Function]:
     """Yield functions of the time t since the start of the session, in units of the session's length.
 
     `named` lists the places where a line is a named effect.
     """
     length = 2 * time.half
-    yield from _both("time", "t", lambda c: time.from_zero(c) / 2, named)
-    yield from _both("time", "t²", lambda c: (time.from_zero(c) / 2) ** 2)
-    yield from _both("time", "t³", lambda c: (time.from_zero(c) / 2) ** 3)
-    yield from _both("time", "√t", lambda c: np.sqrt(np.maximum(time.from_zero(c), 0) / 2))
+    yield from _variants("time", "t", lambda c: time.from_zero(c) / 2, named)
+    yield from _variants("time", "t²", lambda c: (time.from_zero(c) / 2) ** 2)
+    yield from _variants("time", "t³", lambda c: (time.from_zero(c) / 2) ** 3)
+    yield from _variants("time", "√t", lambda c: np.sqrt(np.maximum(time.from_zero(c), 0) / 2))
     for tau in np.geomspace(0.1, 2.0, 6).tolist():
         decay, growth = (time.inside(approach_shape(tau, sign)) for sign in (-1.0, 1.0))
-        yield from _both("time", f"exp(−t/{length * tau:.3g} s)", decay, ("bias",))
-        yield from _both("time", f"exp(+t/{length * tau:.3g} s)", growth)
+        yield from _variants("time", f"exp(−t/{length * tau:.3g} s)", decay, ("bias",))
+        yield from _variants("time", f"exp(+t/{length * tau:.3g} s)", growth)
     yield from _shapes_of(time, " s", ("after", "before"), steps=60, widths=(0.15, 0.35), waves=7)
 
 
@@ -525,7 +526,7 @@ def _shapes_of(
     steps: int,
     widths: Sequence[float],
     waves: int,
-) -> Iterator[_Made]:
+) -> Iterator[_Function]:
     """Yield steps, knees, bumps, oscillations and polynomials of a covariate.
 
     Parameters
@@ -540,15 +541,17 @@ def _shapes_of(
     name, letter = one.name, one.letter
     for place in step_places(one.seen, steps):
         shape = step_shape((place - one.middle) / one.half)
-        yield from _both(name, f"a step at {letter} = {place:.4g}{unit}", one.inside(shape))
+        yield from _variants(name, f"a step at {letter} = {place:.4g}{unit}", one.inside(shape))
     for place in np.linspace(one.middle - 0.8 * one.half, one.middle + 0.8 * one.half, 9):
         for side, sign in zip(sides, (1.0, -1.0), strict=True):
             shape = knee_shape((place - one.middle) / one.half, sign)
-            yield from _both(name, f"a knee at {letter} = {place:.4g}{unit} ({side})", one.inside(shape))
+            yield from _variants(
+                name, f"a knee at {letter} = {place:.4g}{unit} ({side})", one.inside(shape)
+            )
     for place in np.linspace(one.middle - 0.75 * one.half, one.middle + 0.75 * one.half, 7):
         for width in widths:
             form = f"a bump at {letter} = {place:.4g}{unit} of width {width * one.half:.3g}{unit}"
-            yield from _both(name, form, one.inside(bump_shape((place - one.middle) / one.half, width)))
+            yield from _variants(name, form, one.inside(bump_shape((place - one.middle) / one.half, width)))
     # Oscillations with geometrically spaced periods.
     for cycles in np.geomspace(0.5, 0.5 * 2 ** ((waves - 1) / 1.5), waves).tolist():
         form = f"an oscillation of period {2 * one.half / cycles:.3g} in {letter}"
@@ -559,10 +562,10 @@ def _shapes_of(
             named = ("bias",) if name == "temperature" and degree <= 3 else ()
             form = f"a smooth function of {name} (degree {degree})"
             shape = legendre(range(1, degree + 1))
-            yield from _both(name, form, one.inside(shape), named, smooth=True)
+            yield from _variants(name, form, one.inside(shape), named, smooth=True)
 
 
-def _of_rate(data: Readings) -> Iterator[_Made]:
+def _of_rate(data: Readings) -> Iterator[_Function]:
     """Yield functions of the temperature's rate of change and of lagged temperatures as candidates.
 
     They may also enter the gains and the angle.
@@ -578,7 +581,7 @@ def _of_rate(data: Readings) -> Iterator[_Made]:
         def late(c: Conditions, tau: float = tau) -> Floats:
             return c.late("temperature_history", None, tau)[0] - c.covariate("temperature_c")
 
-        yield from _both("temperature_rate", f"T_lag − T with τ = {tau:.3g} s", late, named)
+        yield from _variants("temperature_rate", f"T_lag − T with τ = {tau:.3g} s", late, named)
 
     def rate(c: Conditions) -> Floats:
         assert c.temperature_history is not None
@@ -600,10 +603,10 @@ def _of_rate(data: Readings) -> Iterator[_Made]:
         return lambda c: function(rate(c) / scale)
 
     for form, function in curves.items() if np.ptp(seen) > 2e-9 else ():
-        yield from _both("temperature_rate", form, scaled(function))
+        yield from _variants("temperature_rate", form, scaled(function))
 
 
-def _of_memory(data: Readings) -> Iterator[_Made]:
+def _of_memory(data: Readings) -> Iterator[_Function]:
     """Yield functions of the previous angle θ′ of the stage, and of the move θ − θ′ from it."""
 
     def move(c: Conditions) -> Floats:
@@ -627,7 +630,7 @@ def _of_memory(data: Readings) -> Iterator[_Made]:
         yield _formula(family, form, _over(f"{family}_rad", harmonics(range(1, top + 1))), smooth=True)
 
 
-def _products(recorded: Mapping[str, _Covariate], conditions: Conditions) -> Iterator[_Made]:
+def _products(recorded: Mapping[str, _Covariate], conditions: Conditions) -> Iterator[_Function]:
     """Yield functions of two `recorded` covariates; a covariate that hardly changes is omitted."""
     # A covariate that hardly changes is a constant with noise: a product with it equals the other factor.
     least = {"temperature": limits.least_range_c, "supply": limits.least_range_v, "line_frequency": np.inf}
@@ -640,7 +643,7 @@ def _products(recorded: Mapping[str, _Covariate], conditions: Conditions) -> Ite
                 yield from _cycles_times(factor)
 
 
-def _cycles_times(factor: _Covariate) -> Iterator[_Made]:
+def _cycles_times(factor: _Covariate) -> Iterator[_Function]:
     """Yield stage errors with one to three cycles per turn and an amplitude proportional to a covariate.
 
     In some orders of positions they look like errors of many cycles per turn and constant amplitude.
@@ -655,7 +658,7 @@ def _cycles_times(factor: _Covariate) -> Iterator[_Made]:
         yield _formula("products", form, columns, ("angle",), covariates=(factor.name, "angle"))
 
 
-def _product(one: _Covariate, two: _Covariate) -> Iterator[_Made]:
+def _product(one: _Covariate, two: _Covariate) -> Iterator[_Function]:
     """Yield candidate functions of two covariates: their product, and surfaces over both."""
     names = (one.name, two.name)
 
@@ -664,8 +667,10 @@ def _product(one: _Covariate, two: _Covariate) -> Iterator[_Made]:
         return lambda c: function(one.scaled(c), two.scaled(c))
 
     letters = f"{one.distance} × {two.distance}"
-    yield from _both("products", letters, lambda c: one.from_zero(c) * two.from_zero(c), covariates=names)
-    yield from _both("products", f"{letters}, centred", of(np.multiply), covariates=names)
+    yield from _variants(
+        "products", letters, lambda c: one.from_zero(c) * two.from_zero(c), covariates=names
+    )
+    yield from _variants("products", f"{letters}, centred", of(np.multiply), covariates=names)
     form = f"a surface over {one.name} and {two.name}"
     surface = of(lambda u, v: np.stack([u, v, u * v], axis=1))
     made = _formula("products", form, surface, covariates=names, smooth=True)

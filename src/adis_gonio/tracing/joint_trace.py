@@ -239,10 +239,10 @@ class JointRun(TraceRun):
             errors = [rms(residual[rows], by_axis) for residual in (*dwells, *whole)]
             gained = {cause: own[k] for cause, own in evidence.items()}
             names = (origin.label, origin.part, origin.stage)
-            out.append(SessionShare(*names, int(rows.sum()), gained, self._alone(rows), *errors))
+            out.append(SessionShare(*names, int(rows.sum()), gained, self._causes_alone(rows), *errors))
         return tuple(out)
 
-    def _alone(self, rows: NDArray[np.bool_]) -> dict[str, float]:
+    def _causes_alone(self, rows: NDArray[np.bool_]) -> dict[str, float]:
         """Return the causes that one session alone would show, with their probabilities.
 
         `rows` (n,) is the mask of its dwells. The candidates are the terms that scored well in the joint

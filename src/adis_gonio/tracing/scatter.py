@@ -152,9 +152,9 @@ def _evidence_of_processes(selection: Selection) -> float:
     best = -math.inf
     for kept in dict.fromkeys((named, plain, ())):
         fit = selection.fit.with_terms(kept, [selection.fit.value_of(term) for term in kept]).refit()
-        beside = orthonormal(fit.jacobian)
+        basis = orthonormal(fit.jacobian)
         left = fit.residual.ravel()
-        gained = evidence(fit, beside, left - beside @ (beside.T @ left), candidates)
+        gained = evidence(fit, basis, left - basis @ (basis.T @ left), candidates)
         numbers = [k for k in selection.verdict.best if selection.problem.terms[k] in kept]
         prices = float(selection.found.prices[numbers].sum())
         best = max(best, _restricted(fit, base_only=True) - prices + float(gained.max()))
@@ -298,7 +298,7 @@ MOST_ROWS = 600
 """Largest number of whitened readings for which the covariance of the process is computed."""
 
 
-def beside_unknown_cause(selection: Selection, max_terms: int) -> Selection:
+def compete_with_unknown(selection: Selection, max_terms: int) -> Selection:
     """Return a selection with the posterior of its models in competition with an unknown cause.
 
     The unknown cause is a Gaussian process in all covariates. The chosen model and its fit stay. A
@@ -312,11 +312,11 @@ def beside_unknown_cause(selection: Selection, max_terms: int) -> Selection:
     best = selection.verdict.best
     model: Model = tuple(k for k in best if problem.terms[k].constant)
     for _ in range(2):  # the size in addition to the bias alone, then to the best model
-        beside = problem.with_covariance(features * likeliest_size(problem, model, features))
-        found = search(beside, max_terms)
+        competing = problem.with_covariance(features * likeliest_size(problem, model, features))
+        found = search(competing, max_terms)
         model = found.best
     verdict = replace(weigh(found), best=best)
-    return replace(selection, problem=beside, found=found, verdict=verdict)
+    return replace(selection, problem=competing, found=found, verdict=verdict)
 
 
 def unknown_features(fit: Fit) -> Floats:

@@ -231,7 +231,7 @@ class SessionBlocks:
         if with_prior:
             gram[held:, held:] = together
         gram -= np.tensordot(across, across, axes=((0, 1), (0, 1)))
-        # A bias of all sessions beside one of each, of which the prior alone tells it apart, is short.
+        # A common bias is nearly a combination of the sessions' own biases: only the prior separates them.
         turn = orthonormal_combinations(gram, _RANK)
         turn = turn[:, turn.any(axis=0)]
         rank = int(half.any(axis=1).sum()) + turn.shape[1] - held

@@ -43,7 +43,7 @@ from adis_gonio.tracing.averaging import average
 from adis_gonio.tracing.credible_sets import CredibleSet, credible_sets, judge, merge_by_function, undecided
 from adis_gonio.tracing.grammar import nameless_terms
 from adis_gonio.tracing.named_candidates import named_terms
-from adis_gonio.tracing.scatter import Scatter, beside_unknown_cause, with_scatter
+from adis_gonio.tracing.scatter import Scatter, compete_with_unknown, with_scatter
 from adis_gonio.tracing.selection import Selection, select
 from adis_gonio.tracing.thresholds import limits
 from adis_gonio.tracing.trace_result import (
@@ -55,7 +55,7 @@ from adis_gonio.tracing.trace_result import (
     TraceResult,
     Unnamed,
 )
-from adis_gonio.tracing.what_if import FREE, AskedModel, bought_by_terms, compare
+from adis_gonio.tracing.what_if import FREE, AskedModel, compare, heldout_by_size
 
 UNCHECKED = "the time limit ended the trace before this was checked"
 """Reason that the result gives for each term of a model that was not validated."""
@@ -232,7 +232,7 @@ class TraceRun:
     def traced(self) -> TraceResult:
         """Go through all stages and return the result."""
         self.search()
-        self.drop_refuted_functions()
+        self.drop_harmful_functions()
         self.judge_names()
         self.measure_errors()
         if current().left_out:
@@ -274,7 +274,7 @@ class TraceRun:
             self.data = self.scatter.applied(self.data)
         self.checking = self.data.checking
 
-    def drop_refuted_functions(self) -> None:
+    def drop_harmful_functions(self) -> None:
         """Remove unnamed functions that make the prediction of held-out dwells worse, and choose again.
 
         A removed function has no posterior probability any more, so the names that it competed with gain.
@@ -282,7 +282,7 @@ class TraceRun:
         them, the functions stay, and the model will be shortened.
         """
         self.nest(self.selection)
-        while gone := validation.refuted_functions(self.selection, self.fits, self.errors):
+        while gone := validation.harmful_functions(self.selection, self.fits, self.errors):
             if current().left_out:
                 break
             before = dict(vars(self))
@@ -319,7 +319,7 @@ class TraceRun:
         if self.scatter is None and not self.final.adequate:
             self.weighed = attempt(
                 "an unknown cause beside the models",
-                lambda: beside_unknown_cause(self.selection, self.max_effects),
+                lambda: compete_with_unknown(self.selection, self.max_effects),
                 self.selection,
             )
         self.names = validation.reject_unchecked(judge(self.weighed, self.averaged), self.selection)
@@ -348,7 +348,7 @@ class TraceRun:
         """
         least, unit = len(self.forced), self.measured.model.unit
         reported = reported_errors(self.figures[least:]) if self.checking is None else None
-        count, self.names = validation.never_worse(
+        count, self.names = validation.cut_worse_steps(
             self.names, self.steps, self.errors, reported, unit, least
         )
         self.shortened = count < len(self.steps)
@@ -439,7 +439,7 @@ class TraceRun:
             advice=advice,
             measurements=measurements,
             base={**findings.base_of(final), **zeros},
-            bought=partial(bought_by_terms, selection, self.fits, self.fold, self.checking),
+            further_terms=partial(heldout_by_size, selection, self.fits, self.fold, self.checking),
             reasons=self.names.rejected,
             notes=tuple(self.notes),
         )

@@ -65,7 +65,7 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
         if isinstance(term, NamedTerm) and term.effect.correctable and _is_corrected(term, result)
     ]
     others = [term for term in final.terms if term not in standing and not term.constant]
-    left = [_reason_not_corrected(term, result, middle_s(final)) for term in others] + _unnamed_left(result)
+    left = [_reason_not_corrected(term, result, middle_s(final)) for term in others] + _unnamed_part(result)
     fit, inflation = _refit_without(final, others, result.inflation)
     corrected = [term for term in fit.terms if isinstance(term, NamedTerm) and term in standing]
     rows, matrix = _stated_with_covariance(fit, corrected, inflation)
@@ -103,7 +103,7 @@ def _checked_fit(result: TraceResult) -> Fit:
     return result.fits[-1]
 
 
-def _unnamed_left(result: TraceResult) -> list[NotCorrected]:
+def _unnamed_part(result: TraceResult) -> list[NotCorrected]:
     """Return the unnamed part as not corrected; empty if a term of the model is unnamed."""
     if result.unnamed is None or any(term.name is None for term in result.fits[-1].terms):
         return []
@@ -264,7 +264,7 @@ def gyro_calibration_of_trace(result: TraceResult) -> GyroCalibration:
     final = _checked_fit(result)
     kept = [term for term in final.terms if isinstance(term, NamedTerm) and term.effect.correctable]
     left = [_not_corrected(one) for one in final.terms if one not in kept]
-    left += _unnamed_left(result)
+    left += _unnamed_part(result)
     shown = [(one.name, one.unit) for one in final.data.model.parameters]
     places = list(range(len(shown)))
     for term in kept:
@@ -378,7 +378,7 @@ def load_calibration(path: str | Path, method: str | None = None) -> Calibration
     from adis_gonio.fitting import fit
     from adis_gonio.record.loading import explain_refusal, load_session
 
-    _refuse_made_for_others(path)
+    _refuse_other_exports(path)
     try:
         session = load_session(path)
     except DataError as error:
@@ -407,7 +407,7 @@ def load_gyro_calibration(
     if made is None:
         from adis_gonio.record.loading import load_session
 
-        _refuse_made_for_others(path)
+        _refuse_other_exports(path)
         session = load_session(path)
         _refuse_another_part(part, provenance_of(session), path)
         return gyro_calibration_of(session, traced=traced)
@@ -419,7 +419,7 @@ def load_gyro_calibration(
     return made.gyro
 
 
-def _refuse_made_for_others(path: str | Path) -> None:
+def _refuse_other_exports(path: str | Path) -> None:
     if ends_in(path, *_FOR_OTHERS):
         raise DataError(f"{path}: is made for others to read; give a session, or the .json of export")
 

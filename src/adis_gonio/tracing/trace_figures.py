@@ -19,7 +19,7 @@ from adis_gonio.tracing.trace_result import TraceResult
 from adis_gonio.tracing.validation import residuals_on
 from adis_gonio.tracing.what_if import WhatIf
 
-_LEFT = ("angle", "time", "temperature", "supply")
+_COVARIATES = ("angle", "time", "temperature", "supply")
 _LEAST_SPAN = {"temperature": 0.145, "supply": 0.0018}
 """Ranges (°C, V) below one digit of the chip's thermometer and voltmeter, not shown in figures."""
 
@@ -87,7 +87,7 @@ def views_of(readings: Readings, result: TraceResult) -> Views:
         inside = {term.label for term in before.terms}
         fresh = [term for term in after.terms if term.label not in inside] or after.terms
         steps.append(_panels(checking, fresh[-1], before, after))
-    return Views(tuple(steps), _left(checking, result))
+    return Views(tuple(steps), _residual_panels(checking, result))
 
 
 def what_if_panels(what_if: WhatIf) -> tuple[Panel, ...]:
@@ -245,7 +245,7 @@ def view_uncertainty(fit: Fit, quantity: str) -> Floats:
     return np.asarray(np.sqrt(data.covariance[:, axis, axis]))
 
 
-def _left(checking: Readings | None, result: TraceResult) -> tuple[Panel, ...]:
+def _residual_panels(checking: Readings | None, result: TraceResult) -> tuple[Panel, ...]:
     """Return panels with the final model's residual over each covariate that varied.
 
     `checking` are the readings of check dwells, None without any. The covariates of the unnamed part are
@@ -254,7 +254,7 @@ def _left(checking: Readings | None, result: TraceResult) -> tuple[Panel, ...]:
     base, last = result.fits[0], result.fits[-1]
     data = last.data
     unnamed = result.unnamed.covariates if result.unnamed is not None else ()
-    names = list(dict.fromkeys((*unnamed, *_LEFT)))
+    names = list(dict.fromkeys((*unnamed, *_COVARIATES)))
     if not data.planar:
         names += [f"reading_{letter}" for letter in AXES[: data.axes]]
     quantities = [f"residual_{letter}" for letter in AXES[: data.axes]] if data.by_axis else ["norm"]

@@ -31,7 +31,7 @@ from adis_gonio.tracing.within.samples import WithinFinding
 if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration, GyroCalibration
     from adis_gonio.tracing.trace_figures import Views
-    from adis_gonio.tracing.what_if import Bought, WhatIf
+    from adis_gonio.tracing.what_if import BestOfSize, WhatIf
 
 
 class ErrorFigures(JsonRecord):
@@ -296,8 +296,8 @@ class TraceResult(ParameterTable):
     views : Views or None
         Data of the residual figures of a single pose; None for other sessions, whose figures come from
         `fits`. Not in the JSON and not compared.
-    bought : callable
-        Returns the best models of each number of terms with their held-out errors, a list of `Bought`. Not
+    further_terms : callable
+        Returns a list of `BestOfSize`: the best model of each number of terms, with its held-out error. Not
         in the JSON and not compared.
     inflation : float
         Factor on the measured noise variance for the stated uncertainties; above 1 if it does not explain
@@ -339,7 +339,7 @@ class TraceResult(ParameterTable):
     measurements: tuple[NextDwell, ...] = ()
     fits: tuple[Fit, ...] = field(default=(), repr=False, compare=False)
     views: Views | None = field(default=None, repr=False, compare=False)
-    bought: Callable[[], list[Bought]] = field(default=list, repr=False, compare=False)
+    further_terms: Callable[[], list[BestOfSize]] = field(default=list, repr=False, compare=False)
     inflation: float = 1.0
     stopped: Stopped | None = None
     provenance: Provenance | None = field(default=None, repr=False, compare=False)

@@ -39,7 +39,7 @@ _SURE = (
 
 
 @dataclass
-class SightGroups:
+class UndetectedEffects:
     """Effects that were not found, in groups: shown at typical size, only if larger, or not at all.
 
     Attributes
@@ -389,12 +389,12 @@ def session_shares(result: JointResult) -> list[str]:
     return lines
 
 
-def sight(result: TraceResult) -> SightGroups:
+def group_undetected(result: TraceResult) -> UndetectedEffects:
     """Group effects that were not found by whether the session could have shown them at typical size."""
     found = {finding.effect for finding in result.found}
     undecided = {name for names in result.confounded for name in names} | set(result.reasons)
     undecided |= {step.effect for step in result.steps}
-    seen = SightGroups()
+    seen = UndetectedEffects()
     for name in catalogue():
         if name in found or name not in result.detectable:
             continue

@@ -310,11 +310,11 @@ class Fold:
             Fit with the effects that are kept in every fold; by default effects are chosen again.
         """
         fresh = {name: masks for name, masks in designs.items() if (id(fit), name) not in self._made}
-        made = cross_validate(data, fresh, self.chosen_anew if fit is None else fit.again)
+        made = cross_validate(data, fresh, self.choose_in_fold if fit is None else fit.again)
         self._made.update({(id(fit), name): (fit, left) for name, left in made.items()})
         return {name: self._made[id(fit), name][1] for name in designs}
 
-    def chosen_anew(self, rows: Readings) -> Fit:
+    def choose_in_fold(self, rows: Readings) -> Fit:
         """Choose and fit a model of `rows`, the dwells that are not held out."""
         chosen = select(
             rows, self.terms, self.max_effects, explored=limits.fold_explored, rounds=limits.fold_rounds
@@ -549,7 +549,7 @@ def longest_acceptable(errors: Sequence[float], most: int, least: int = 0) -> in
     return count
 
 
-def refuted_functions(selection: Selection, fits: Sequence[Fit], errors: Sequence[float]) -> list[Term]:
+def harmful_functions(selection: Selection, fits: Sequence[Fit], errors: Sequence[float]) -> list[Term]:
     """Return the model's unnamed functions that make the prediction of held-out dwells worse.
 
     `errors` are the held-out errors of the nested `fits`, empty if no dwell could be held out.
@@ -561,7 +561,7 @@ def refuted_functions(selection: Selection, fits: Sequence[Fit], errors: Sequenc
     return [term for term in selection.terms if term.name is None and term not in stay.terms]
 
 
-def never_worse(
+def cut_worse_steps(
     names: Names,
     steps: Sequence[str],
     errors: Sequence[float],

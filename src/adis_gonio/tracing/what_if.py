@@ -340,7 +340,7 @@ _TRIED = 50
 
 
 @dataclass(frozen=True)
-class Bought:
+class BestOfSize:
     """The best model of one number of terms, with its held-out error.
 
     Attributes
@@ -367,11 +367,11 @@ class Bought:
     chosen: bool
 
 
-def best_by_terms(selection: Selection, nested: Sequence[Fit]) -> list[tuple[Fit, float]]:
-    """Return the best scored model of each number of terms; the chosen model is the best of its number.
+def best_by_size(selection: Selection, nested: Sequence[Fit]) -> list[tuple[Fit, float]]:
+    """Return the best scored model of each number of terms, with its log evidence in nats.
 
-    Each has its log evidence relative to the base model, in nats. A model that the trace has not fitted has
-    its amplitudes in the linear problem.
+    The evidence is relative to the base model. The chosen model counts as the best of its number of terms.
+    A model that the trace has not fitted takes its amplitudes from the linear problem.
 
     A model with more terms than the chosen one counts only if it predicts other readings. For example, two
     terms for one axis each predict nothing new if the chosen model has one term for both axes. `nested` are
@@ -401,16 +401,16 @@ def best_by_terms(selection: Selection, nested: Sequence[Fit]) -> list[tuple[Fit
     return out
 
 
-def bought_by_terms(
+def heldout_by_size(
     selection: Selection, nested: Sequence[Fit], fold: validation.Fold, checking: Readings | None = None
-) -> list[Bought]:
+) -> list[BestOfSize]:
     """Return the held-out errors of the best models of each number of terms; empty if no dwell is held out.
 
     `nested` are the fits of the trace; `fold` has the residuals that it has computed in its folds.
     `checking` are the check dwells, which are then the held-out dwells. A dwell counts if the chosen model
     is determined without it.
     """
-    models = best_by_terms(selection, nested)
+    models = best_by_size(selection, nested)
     fits = [fit if fit in fold else fit.refit() for fit, _ in models]
     is_chosen = [len(fit.terms) == len(selection.terms) for fit in fits]
     data = fits[0].data
@@ -432,7 +432,7 @@ def bought_by_terms(
         return []
     each = data.axes if data.by_axis else 1
     errors = [float(np.sqrt(own.mean() / each)) for own in squares]
-    out: list[Bought] = []
+    out: list[BestOfSize] = []
     for k, (_, evidence) in enumerate(models):
         before = max(k - 1, 0)
         # Change of the root mean square by each dwell: a paired difference of two models, to first order.
@@ -440,5 +440,5 @@ def bought_by_terms(
         u = float(per_dwell.std(ddof=1) / np.sqrt(len(per_dwell))) if len(per_dwell) > 1 else np.inf
         gain, terms = errors[before] - errors[k], tuple(term.label for term in fits[k].terms)
         efficient = not any(o.log_evidence >= evidence and o.heldout_rms <= errors[k] for o in out)
-        out.append(Bought(terms, evidence, errors[k], gain, u, efficient, is_chosen[k]))
+        out.append(BestOfSize(terms, evidence, errors[k], gain, u, efficient, is_chosen[k]))
     return out

@@ -92,7 +92,7 @@ def print_trace(sessions: Sequence[Session], result: TraceResult) -> None:
     screen = show.console(most=show.WIDTH)
     for session in sessions:
         screen.print(f"{summary.title(session)}: {summary.shape(session)}")
-    seen = summary.sight(result)
+    seen = summary.group_undetected(result)
     smallest = {name: summary.amplitude(entry) for name, entry in result.detectable.items()}
     weak = ", ".join(f"{name} from {smallest[name]}" for name in seen.weak)
     hidden = [f"only if larger than usual: {weak}"] if weak else []

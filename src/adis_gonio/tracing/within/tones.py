@@ -429,7 +429,7 @@ def density_of(samples: Samples) -> Density | None:
     ordinate = np.arange(len(frequency)) / each
     width = np.array(_WIDTHS, dtype=float)[np.digitize(ordinate, 3 * np.array(_WIDTHS[1:]))]
     pooled = (power / level[:, None, :]).mean(axis=0)
-    beside = _beside(pooled, searched, each)
+    beside = _peak_remover(pooled, searched, each)
     information = len(dwells) / each / TAPER_LOSS
     tests = samples.axes * (searched.stop - searched.start) / each
     # Only filters shorter than the longest dwell.
@@ -470,7 +470,7 @@ def density_of(samples: Samples) -> Density | None:
     return Density(dwells.astype(np.intp), frequency, searched, power, level, base, bound, 2 * width + 1)
 
 
-def _beside(pooled: Floats, searched: slice, each: float) -> Callable[[Floats, int], Floats]:
+def _peak_remover(pooled: Floats, searched: slice, each: float) -> Callable[[Floats, int], Floats]:
     """Return a function that removes the highest peak of one axis from a density (k, axes).
 
     The peak is the highest point of `pooled` (k, axes) relative to its neighbours. The density (k,) there
