@@ -263,3 +263,24 @@ def test_a_line_that_dies_behind_the_last_dwell_is_no_change_of_the_settings(
     (doubt,) = load_session(tmp_path / "q.session").facts["doubts"]
     assert f"replies were {level}" in doubt["message"]
     assert "settings changed" not in doubt["message"]
+
+
+def test_a_gyro_range_that_is_cleared_behind_the_last_dwell_is_a_change_of_the_settings(
+    tmp_path, monkeypatch
+):
+    registers, calls = ChipSource.registers, []
+
+    def clearing(source):
+        calls.append(source)
+        if len(calls) == 3:
+            source.sensor.bus.chip.memory["SENS_AVG"] = 0
+        return registers(source)
+
+    monkeypatch.setattr(ChipSource, "registers", clearing)
+    path = tmp_path / "q.session"
+    with open_bus(POLLED) as bus:
+        sensor = Adis16354(bus, "adis16354")
+        list(SessionRunner.begin(sensor, path, plan("two-position"), SHORT, auto=True).run(so_far=False))
+    (doubt,) = load_session(path).facts["doubts"]
+    assert "settings changed" in doubt["message"]
+    assert "SENS_AVG 1026 → 0" in doubt["message"]

@@ -298,8 +298,9 @@ def _changed_registers(view: ArchiveView) -> list[JsonDict]:
     changed = changed_settings(then or {}, now or {})
     if not changed:
         return []
-    # No range has the code 0 or 7: such a reply comes from a stuck line.
-    level = {0x0000: "zeros", 0xFFFF: "ones"}.get((now or {}).get("SENS_AVG", 1))
+    # SENS_AVG and SMPL_PRD are never both zeros or both ones: such replies come from a stuck line.
+    held = {(now or {}).get(name, 1) for name in ("SENS_AVG", "SMPL_PRD")}
+    level = "zeros" if held == {0x0000} else "ones" if held == {0xFFFF} else ""
     listed = ", ".join(f"{name} {before} → {after}" for name, (before, after) in changed.items())
     message = (
         f"the sensor's registers could not be compared at the end of the session: replies were {level}"

@@ -192,7 +192,7 @@ def test_noise_that_is_not_the_tables_is_a_difference_with_its_size_on_each_axis
         (lambda words: words ^ 0x5A33, Verdict.FAULT, "make no sense"),
         (lambda words: words << 1, Verdict.FAULT, "one bit early"),
         (lambda words: words >> 8 | words << 8, Verdict.FAULT, "two bytes of the words are swapped"),
-        (lambda words: np.where(words == 0x0402, 0x8402, words), Verdict.DIFFERS, "not have: SENS_AVG"),
+        (lambda words: np.where(words == 0x0402, 0x8402, words), Verdict.DIFFERS, "not allowed: SENS_AVG"),
     ],
 )
 def test_replies_of_a_wrong_link_are_named(change, verdict, said):
@@ -303,3 +303,11 @@ def test_a_rate_is_the_nominal_one_an_error_of_the_clock_or_another_setting(rate
     assert period.value * rate.value == pytest.approx(1e6)
     # A computer's clock is known to 100 ppm / √3; the reads add a little in two seconds.
     assert 5e-5 < rate.u / rate.value < 1e-4
+
+
+def test_a_cleared_gyro_range_is_a_content_that_is_not_allowed():
+    bus = open_bus("sim:?seed=3")
+    bus.chip.memory["SENS_AVG"] = 0
+    link = bring_up(bus, steps=only("link")).row("link")
+    assert link.verdict is Verdict.DIFFERS
+    assert link.text.endswith("SENS_AVG 0x0000")

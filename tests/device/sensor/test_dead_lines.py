@@ -91,6 +91,56 @@ def test_a_self_test_on_a_dead_line_is_not_passed(level):
         sensor.self_test()
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        lambda replies: replies >> 1,
+        lambda replies: replies >> 1 | 0x8000,
+        lambda replies: replies << 1,
+        lambda replies: replies << 1 | 1,
+        lambda replies: ~replies,
+    ],
+    ids=["late", "late-1", "early", "early-1", "inverted"],
+)
+def test_a_self_test_on_a_shifted_or_inverted_line_is_not_passed(wrong):
+    bus = FailingLine()
+    bus.change = lambda frames, replies: wrong(replies)
+    sensor = Adis16354(bus, check=False)
+    with pytest.raises(ChipError, match="not allowed"):
+        sensor.self_test()
+    assert bus.writes == []
+
+
+@pytest.mark.parametrize("word", [0x0000, 0xFFFF, 0x0201])
+def test_a_content_of_sens_avg_that_is_not_allowed_is_no_stuck_line(word):
+    bus = FailingLine()
+    bus.inner.chip.memory["SENS_AVG"] = word
+    sensor = Adis16354(bus)
+    assert not sensor.configuration().allowed
+    assert sensor.endurance() == 0
+    assert sensor.read_checked(["SENS_AVG", "MSC_CTRL"]) == [word, 0]
+    with pytest.raises(ChipError, match=f"SMPL_PRD 0x01.*M = {word & 7} are not"):
+        sensor.self_test()
+    sensor.write("SENS_AVG", 0x0402)
+    assert sensor.self_test().word == 0
+
+
+@pytest.mark.parametrize("level", [0x0000, 0xFFFF])
+def test_a_line_that_sticks_within_a_reading_is_read_again(level):
+    bus = FailingLine()
+    sensor = Adis16354(bus)
+    left = [3, 1]
+
+    def stick(frames, replies):
+        if left:
+            replies[left.pop() :] = level
+        return replies
+
+    bus.change = stick
+    assert sensor.endurance() == 0
+    assert not left
+
+
 @pytest.mark.parametrize("level", [0x0000, 0xFFFF])
 def test_a_session_on_a_dead_line_fails_as_a_job_and_not_as_wrong_usage(level, tmp_path):
     bus = FailingLine()

@@ -278,33 +278,37 @@ class Adis16354(Closing):
         smpl_prd, sens_avg, msc_ctrl = self.read_checked(["SMPL_PRD", "SENS_AVG", "MSC_CTRL"])
         found = Configuration.from_words(smpl_prd, sens_avg, msc_ctrl)
         self._gyro_range = found.gyro_range_dps
-        self._msc_ctrl = msc_ctrl
+        self._msc_ctrl, self._found = msc_ctrl, found
         return found
 
     def read_checked(self, names: Sequence[str | Register]) -> list[int]:
         """Read registers repeatedly until two successive readings agree; return one raw word for each.
 
-        Each reading also reads SENS_AVG before and after the registers. SENS_AVG is never 0x0000 or 0xFFFF
-        (its range code is 4, 2 or 1), so such replies come from a stuck line. Use this method for registers
-        that a program relies on, such as SMPL_PRD and ENDURANCE.
+        Each reading also reads SENS_AVG before and after the registers, and SMPL_PRD if all words are zeros
+        or ones: SMPL_PRD is neither, so such replies come from a stuck line. SENS_AVG alone may have a
+        content that is not allowed. Use this method for registers that a program relies on, such as
+        SMPL_PRD and ENDURANCE.
 
         Raises
         ------
         SilentChipError
-            SENS_AVG reads zeros or ones, so the data line is stuck.
+            All words are zeros or all are ones, so the data line is stuck.
         VerifyError
             No two successive readings agree.
         """
-        rows = [BY_NAME["SENS_AVG"], *registers(names), BY_NAME["SENS_AVG"]]
+        guard, period = BY_NAME["SENS_AVG"], BY_NAME["SMPL_PRD"]
+        rows = [guard, *registers(names), guard]
         before: list[int] = []
         for _ in range(MOST_READINGS):
             words = self.read_words(rows)
-            stuck = _STUCK_WORDS.intersection((words[0], words[-1]))
-            if words == before and not stuck:
-                return words[1:-1]
+            stuck = words[0] in _STUCK_WORDS and len({*words}) == 1
+            if words == before and words[0] == words[-1] and not stuck:
+                return words[1 : 1 + len(names)]
+            if stuck and period not in rows:
+                rows.insert(-1, period)
             before = words
         if stuck:
-            level, side = ("zeros", "low") if 0 in stuck else ("ones", "high")
+            level, side = ("ones", "high") if words[0] else ("zeros", "low")
             raise SilentChipError(
                 f"{self.bus.url}: nothing answers, replies are {level}: the data line (MISO) is stuck"
                 f" {side}; check supply, chip select and wires"
@@ -499,10 +503,18 @@ class Adis16354(Closing):
         Raises
         ------
         ChipError
-            The self-test did not end.
+            The self-test did not end, or the chip does not allow the last `configuration` that was read:
+            shifted or inverted replies would give a STATUS without failures too.
         SilentChipError, VerifyError
             The reading is not reliable: zeros from a data line that is stuck low are not a passed test.
         """
+        if not self._found.allowed:
+            raise ChipError(
+                f"{self.bus.url}: the self-test cannot be relied on: SMPL_PRD 0x{self._found.smpl_prd:02X},"
+                f" gyro range {self._found.gyro_range_dps} and filter M = {self._found.filter_m} are not"
+                " allowed by the chip, so that the replies may be wrong; check the link with 'adis-gonio"
+                " bringup URL'; if it is good, write SMPL_PRD=1 and SENS_AVG=0x0402"
+            )
         row = BY_NAME["MSC_CTRL"]
         busy = row.field("self_test").mask
         # Only the high byte: the low byte has settings that a self-test must not change.

@@ -235,6 +235,12 @@ class Configuration:
         return 1.0 / self.sample_period_s
 
     @property
+    def allowed(self) -> bool:
+        """True if the chip allows the rate, and the filter with the gyro range (data sheet, A)."""
+        least = LEAST_M.get(self.gyro_range_dps or 0, 7)
+        return self.smpl_prd > 0 and least <= self.filter_m <= 6
+
+    @property
     def settling_s(self) -> float:
         """Time in s until the output of the filter has settled after a change of its input."""
         return filter_settling_samples(self.filter_m) * self.sample_period_s
