@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import UsageError
+from adis_gonio.fleet.calibration_due import due_of
 from adis_gonio.fleet.fleet_pages import history_sections
 from adis_gonio.fleet.sensor_history import headline, history_of, known_serial
 from fleet.made_up import made_up
@@ -81,6 +82,20 @@ def test_what_has_no_date_failed_or_is_doubtful_is_left_out_with_its_reason():
     assert "no date" in reasons[0]
     assert reasons[1] == "is damaged"
     assert "the other way" in reasons[2]
+
+
+def test_a_session_blind_to_the_biases_is_compared_only_with_its_like():
+    """A bias of 10 mg moves the Δφ of two positions by 0.6°, while the sensor has not changed."""
+    whole = [made_up(when, u=0.01, bias_x=10.0) for when in years(4)]
+    blind = [made_up(when, u=0.01, delta_phi=-0.6) for when in years(6)]
+    blind = [replace(one, values={n: v for n, v in one.values.items() if "bias" not in n}) for one in blind]
+    history = history_of("A7", [*whole, blind[4]])
+    assert history.sessions == tuple(whole)
+    assert [record for record, _ in history.left_out] == [blind[4]]
+    assert [stair.verdict for stair in due_of(history).stairs] == ["pass"] * 3
+    assert history_of("A7", blind).sessions == tuple(blind)
+    undated = replace(whole[0], when=None)
+    assert history_of("A7", [undated, *blind]).sessions == tuple(blind)
 
 
 def test_sessions_in_another_unit_than_the_latest_are_not_compared_with_it():

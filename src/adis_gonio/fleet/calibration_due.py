@@ -303,11 +303,8 @@ def _control_chart(history: History, limits: Rules) -> Rule:
         return Rule(method, None, why, "")
     limit = f"{limits.tolerance.limit_deg:g}°"
 
-    def reached(days: int) -> ErrorCurve:
-        return drifted_curve(history, drifts, days)
-
     def passes(days: int) -> bool:
-        return limits.tolerance.verdict(reached(days))[0] == "pass"
+        return limits.tolerance.verdict(drifted_curve(history, drifts, days))[0] == "pass"
 
     missing = [name for name in PARAMETERS if name not in drifts]
     assumes = (
@@ -316,7 +313,7 @@ def _control_chart(history: History, limits: Rules) -> Rule:
     )
     last = float(history.days[-1])
     if not passes(0):
-        bound = reached(0).bound_deg(limits.tolerance.accepted_risk)
+        bound = drifted_curve(history, drifts, 0).bound_deg(limits.tolerance.accepted_risk)
         why = (
             f"a calibration with its scatter between {len(history.sessions)} sessions needs a tolerance of "
             f"{bound:.4g}° already, not {limit}: add sessions, calibrate with more dwells, or raise the "

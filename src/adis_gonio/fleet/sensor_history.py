@@ -124,9 +124,8 @@ def control_chart(value: Floats, u: Floats) -> ControlChart:
     z = as_normal(t, dof)
     up, down = np.insert(cusum(z[1:]), 0, 0.0, axis=1)
     limit = sigma * -stdtrit(dof, ndtr(-SHEWHART))
-    low, high = expected - limit, expected + limit
     between = between_neighbours(value, u)
-    chart = ControlChart(expected, low, high, z, up, down, between)
+    chart = ControlChart(expected, expected - limit, expected + limit, z, up, down, between)
     if chart.signal is None:
         return chart
     return replace(chart, since=_split(value, 1 / (u**2 + between**2), chart.signal))
@@ -394,9 +393,14 @@ class History:
 
 
 def history_of(serial: str, records: Sequence[SessionRecord]) -> History:
-    """Make the history of a sensor from the records of its sessions."""
-    left_out = tuple((record, reason) for record in records if (reason := _unfit(record)))
-    good = sorted((r for r in records if not _unfit(r)), key=lambda r: (day_of(r.when or ""), r.path))
+    """Make the history of a sensor from the records of its sessions.
+
+    Sessions that take the biases as zero are left out if other sessions determine the biases.
+    """
+    biases = any("bias_x" in record.values for record in records if not _unfit(record))
+    left_out = tuple((record, reason) for record in records if (reason := _unfit(record, biases=biases)))
+    good = [record for record in records if not _unfit(record, biases=biases)]
+    good.sort(key=lambda record: (day_of(record.when or ""), record.path))
     # In the plane the gain ratio ΔK is tracked instead of gains: a common factor of both gains cannot be
     # distinguished from a change of gravity.
     names = [name for name in QUANTITIES if name.startswith(("bias_", "scale_", "skew_"))]
@@ -471,11 +475,17 @@ def date_of(day: float) -> str:
         raise UsageError(f"day {day:g} is beyond the calendar") from None
 
 
-def _unfit(record: SessionRecord) -> str:
+def _unfit(record: SessionRecord, *, biases: bool = False) -> str:
+    """Return the reason to leave a session out of a history; empty if there is none.
+
+    `biases` is True if other sessions determine the biases.
+    """
     if record.status != "ok":
         return record.reason
     if record.when is None:
         return "no date: a samples CSV has one only if time_s has times like 2026-11-24 10:00:00"
+    if biases and "bias_x" not in record.values:
+        return "its ΔK and Δφ take the biases as zero, but other sessions show the biases"
     return f"the result cannot be right: {record.doubts[0]}" if record.doubts else ""
 
 
