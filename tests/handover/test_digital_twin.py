@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adis_gonio import load_session, trace
+from adis_gonio import fit, load_session, trace
 from adis_gonio.base.errors import DataError
 from adis_gonio.faces.cli import main
 from adis_gonio.fitting.estimation.fit import Fit
@@ -112,6 +112,24 @@ def test_a_twin_is_measured_at_the_times_temperatures_and_voltages_of_the_sessio
         assert simulated.time_s == pytest.approx(dwell.time_s, abs=0.3)
         assert simulated.temperature_c.mean() == pytest.approx(dwell.temperature_c.mean(), abs=0.05)
         assert simulated.supply_v.mean() == pytest.approx(dwell.supply_v.mean(), abs=1e-3)
+
+
+def test_twins_have_the_slow_noise_that_the_fit_of_the_session_assumes(tmp_path):
+    path = tmp_path / "slow.csv"
+    assert main(["simulate", "--plan", "mmpm", "--dwell", "3", "--seed", "13", "-o", str(path)]) == 0
+    session = load_session(path)
+    data = readings_of(session)
+    bias = [term for term in named_terms(data)[0] if term.label == "bias[xy]"]
+    final = Fit.begin(data).refit().with_terms(bias, [np.zeros(2)]).refit()
+    noise = noise_of(session, data.unit)
+    # The dwells are too short to show 1/f noise: the fit takes the figure of the part, 0.1 mg.
+    assert noise.floor_mg == pytest.approx([0.1, 0.1])
+    result = fit(session, method="ml")
+    fits = [fit(simulate_like(session, final, seed=seed), method="ml") for seed in range(12)]
+    assert 0.75 < np.mean([one.chi2 / one.dof for one in fits]) < 1.3
+    # Biases of the session contain its slowest noise, so the biases of its twins agree with them.
+    off = [(one[n].value - result[n].value) / one[n].u for one in fits for n in ("bias_x", "bias_y")]
+    assert 0.5 < np.sqrt(np.mean(np.square(off))) < 1.5
 
 
 def test_a_position_without_an_angle_has_the_attitude_of_its_reading(session, final):

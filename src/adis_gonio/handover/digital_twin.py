@@ -18,7 +18,7 @@ from adis_gonio.device.sensor.registers import ACCEL_OUT, VARIANTS
 from adis_gonio.device.sensor.settings import filter_weights, sample_period_s, smpl_prd_for
 from adis_gonio.fitting.allan.spectral_likelihood import overlapping
 from adis_gonio.fitting.estimation.fit import Fit
-from adis_gonio.fitting.estimation.readings import Readings, Unit, readings_of
+from adis_gonio.fitting.estimation.readings import Readings, Unit, flicker_of, readings_of, stated_flicker
 from adis_gonio.fitting.estimation.spectrum import noise_of_means
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
 from adis_gonio.model.effects import AXES, Conditions, Effect, Enters, Parameter
@@ -70,8 +70,8 @@ def noise_of(session: Session, unit: Unit) -> SamplesNoise:
     The white noise before the filter has the spectral density of the samples at frequency zero, which the
     filter does not change and which determines the readings. An archive states the settings of the chip. A
     CSV does not; then the sample rate of the chip that is nearest to the rate of the samples is used, and
-    the filter that gives the white noise a variance nearest to the variance of the samples. `unit` is the
-    unit of the samples.
+    the filter that gives the white noise a variance nearest to the variance of the samples. The 1/f noise
+    is the one that a fit of the session assumes (`flicker_of`). `unit` is the unit of the samples.
     """
     dwells = [dwell for dwell in session.dwells if len(dwell) > 8]
     if not dwells:
@@ -97,7 +97,8 @@ def noise_of(session: Session, unit: Unit) -> SamplesNoise:
     noisy = (variance > 0) & (white > 0)  # a constant axis shows no filter
     target = float(np.mean(np.log(variance[noisy] / white[noisy] ** 2))) if noisy.any() else 0.0
     nearest = min(range(7), key=lambda m: abs(math.log((filter_weights(m) ** 2).sum()) - target))
-    return SamplesNoise(smpl_prd, int(stated.get("filter_m", nearest)), white, np.sqrt(means.flicker))
+    floor = np.sqrt(flicker_of(means, stated_flicker(session)))
+    return SamplesNoise(smpl_prd, int(stated.get("filter_m", nearest)), white, floor)
 
 
 @dataclass(frozen=True)
@@ -204,11 +205,11 @@ class LikeWorld(World):
         # Axes without samples get the mean noise.
         self._white_sd[:3] = noise.white_mg.mean()
         self._white_sd[: data.axes] = noise.white_mg
-        floor = np.zeros(6)
-        floor[: data.axes] = noise.floor_mg
-        own = np.random.SeedSequence((seed, 1)).spawn(2)
-        self._white = np.random.default_rng(own[0])
-        self._flicker = Flicker(floor, np.random.default_rng(own[1]), start_s=-10.0)
+        floor = np.pad(noise.floor_mg, (0, 6 - data.axes))
+        # The fitted biases contain the noise that is slower than twice the session (`flicker_parts`).
+        slowest_hz = 0.5 / max(float(np.ptp(data.conditions.time_s)), 1.0)
+        self._white, slow = map(np.random.default_rng, np.random.SeedSequence((seed, 1)).spawn(2))
+        self._flicker = Flicker(floor, slow, start_s=-10.0, lowest_hz=slowest_hz)
         self._temperature_offset = np.zeros(3)
 
     def sample(self, time_s: Floats) -> Inputs:
