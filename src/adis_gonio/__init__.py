@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from adis_gonio.device.bus import open_bus as open_bus
     from adis_gonio.device.sensor import Adis16354 as Adis16354, open_sensor as open_sensor
     from adis_gonio.faces.api import fit as fit, trace as trace
-    from adis_gonio.fitting import FitResult as FitResult
+    from adis_gonio.fitting.fit_result import FitResult as FitResult
     from adis_gonio.model import Dwell as Dwell, Session as Session
     from adis_gonio.record.loading import load_session as load_session
     from adis_gonio.tracing.trace_result import TraceResult as TraceResult

@@ -124,7 +124,7 @@ def test_an_error_that_nobody_thought_of_is_a_reason_too(archive, monkeypatch):
     def fails(*_, **__):
         raise ZeroDivisionError("of\nsomething")
 
-    monkeypatch.setattr("adis_gonio.fitting.fit", fails)
+    monkeypatch.setattr("adis_gonio.fitting.methods.fit", fails)
     record = record_of(archive)
     assert record.status == "failed"
     assert "ZeroDivisionError: of something" in record.reason

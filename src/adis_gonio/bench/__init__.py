@@ -3,16 +3,8 @@
 A name is imported when it is first used, so that importing the package itself takes no time.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 from adis_gonio.base import lazily
 
 _HOMES = {"runner": "SessionRunner"}
-
-
-if TYPE_CHECKING:
-    from adis_gonio.bench.runner import SessionRunner as SessionRunner
 
 __getattr__ = lazily(__name__, _HOMES)

@@ -288,7 +288,7 @@ class Knowledge:
         Returns None if the dwells do not allow a fit, or if the session has no positions. With more than 36
         dwells, it also returns None until their number is 10 % larger than at the last fit.
         """
-        from adis_gonio.fitting import fit
+        from adis_gonio.fitting.methods import fit
 
         count = len(self._ledger.done)
         if 36 < count < 1.1 * self._fitted or not (self.fits_dwells and self._judging):

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.fitting import FitResult, fit as _fit
 from adis_gonio.fitting.estimation.readings import ACCELEROMETER, GYRO, known_part
+from adis_gonio.fitting.fit_result import FitResult
 from adis_gonio.fitting.gyros.gyro_fit import METHOD as GYRO_METHOD, GyroFit, fit_gyro
+from adis_gonio.fitting.methods import fit as _fit
 from adis_gonio.model import Session
 from adis_gonio.record.loading import load_session
 

@@ -376,7 +376,7 @@ def _facts(session: Session) -> dict[str, Any]:
 
 
 def _results(session: Session, *, trace: bool) -> dict[str, Any]:
-    from adis_gonio.fitting import fit
+    from adis_gonio.fitting.methods import fit
     from adis_gonio.tracing.trace import trace as traced_by
     from adis_gonio.tracing.traced_answer import answer_with_trace
 

@@ -28,9 +28,9 @@ from adis_gonio.base.numbers import (
 )
 from adis_gonio.base.uncertainty import NORMAL_95, Value
 from adis_gonio.device.sensor.settings import compensations
-from adis_gonio.fitting import FitResult
 from adis_gonio.fitting.answer import Answer, format_dof, format_share, method_tables
 from adis_gonio.fitting.estimation.readings import readings_of
+from adis_gonio.fitting.fit_result import FitResult
 from adis_gonio.fitting.slips.session_positions import Angle, PositionFinding, sentences_of
 from adis_gonio.model.records import METADATA, Session
 from adis_gonio.page.document import Figure, KeyFigure, Role, Section, Series, Table, plot, render

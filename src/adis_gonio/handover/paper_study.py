@@ -38,8 +38,8 @@ from adis_gonio.base.jsonable import JsonRecord, json_object
 from adis_gonio.base.numbers import NO_BREAK, counted, format_fixed, format_number, label_quantity
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
-from adis_gonio.fitting import fit
 from adis_gonio.fitting.fit_result import FitResult
+from adis_gonio.fitting.methods import fit
 from adis_gonio.model.records import Session
 from adis_gonio.page.document import Figure, Section, Series, Table, plot, render
 from adis_gonio.record.loading import load_session

@@ -195,7 +195,7 @@ class ExportSource:
             from adis_gonio.tracing.trace import trace
 
             return trace(session)
-        from adis_gonio.fitting import fit
+        from adis_gonio.fitting.methods import fit
 
         return fit(session, method=self.method)
 

@@ -375,7 +375,7 @@ def load_calibration(path: str | Path, method: str | None = None) -> Calibration
     made = calibration_in(path)
     if made is not None:
         return made
-    from adis_gonio.fitting import fit
+    from adis_gonio.fitting.methods import fit
     from adis_gonio.record.loading import explain_refusal, load_session
 
     _refuse_other_exports(path)

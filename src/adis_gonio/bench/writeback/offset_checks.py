@@ -37,9 +37,9 @@ from adis_gonio.device.sensor.registers import (
 )
 from adis_gonio.device.sensor.scanning import ScanStream
 from adis_gonio.device.sensor.settings import Configuration, ScanBlock, join, mean_at_rest, white_noise_gain
-from adis_gonio.fitting import fit
 from adis_gonio.fitting.fit_result import calibration_as_recorded
 from adis_gonio.fitting.gyros.gyro_fit import GyroFit, fit_gyro
+from adis_gonio.fitting.methods import fit
 from adis_gonio.model.effects.base import AXES
 from adis_gonio.model.records import Session
 from adis_gonio.record.source import LEAST_SAMPLES
@@ -48,7 +48,7 @@ from adis_gonio.record.write_journal import Numbers
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
-    from adis_gonio.fitting import FitResult
+    from adis_gonio.fitting.fit_result import FitResult
 
 REGISTERS = (*ACCEL_OUT, "XTEMP_OUT", "SUPPLY_OUT")
 

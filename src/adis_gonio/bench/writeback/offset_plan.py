@@ -28,7 +28,7 @@ from adis_gonio.record.write_journal import Numbers
 if TYPE_CHECKING:
     from adis_gonio.calibrate.calibration import Coefficient
     from adis_gonio.calibrate.gyro_calibration import GyroCalibration
-    from adis_gonio.fitting import FitResult
+    from adis_gonio.fitting.fit_result import FitResult
 
     Biases = Mapping[str, Value | Coefficient]
 

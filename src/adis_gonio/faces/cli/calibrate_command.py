@@ -234,7 +234,7 @@ def _show_result(
     """
     from adis_gonio.faces.cli.fit_commands import print_answer
     from adis_gonio.faces.cli.trace_commands import print_loop, print_trace
-    from adis_gonio.fitting import fit
+    from adis_gonio.fitting.methods import fit
     from adis_gonio.tracing.traced_answer import answer_with_trace
 
     truth = session.facts.get("truth")

@@ -185,7 +185,7 @@ def _report_page(
     conformity; `what_if` are the terms and names that the user puts into the model or takes out of it.
     """
     from adis_gonio.base.budget import current, with_progress
-    from adis_gonio.fitting import applicable_methods, fit
+    from adis_gonio.fitting.methods import applicable_methods, fit
     from adis_gonio.handover.calibration_report import build_page
     from adis_gonio.handover.digital_twin import twin_section
     from adis_gonio.handover.gyro_report import gyro_section, noise_section

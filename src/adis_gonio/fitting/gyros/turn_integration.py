@@ -71,7 +71,7 @@ from adis_gonio.model.records import Dwell, Session, Turn
 
 if TYPE_CHECKING:
     from adis_gonio.calibrate import Calibration
-    from adis_gonio.fitting import FitResult
+    from adis_gonio.fitting.fit_result import FitResult
 
 Series = tuple[Floats, Floats]
 """Times (n,) in s, and rates (n, 3) of the gyros in °/s."""
@@ -821,9 +821,8 @@ def triad_of(session: Session, calibration: Calibration | None = None) -> Triad:
     if calibration is not None and calibration.covariance is None:
         raise UsageError("the calibration of the accelerometers states no uncertainties: fit one that does")
     try:
-        from adis_gonio.fitting import fit
         from adis_gonio.fitting.fit_result import calibration_as_recorded
-        from adis_gonio.fitting.methods import fit_of
+        from adis_gonio.fitting.methods import fit, fit_of
 
         readings = readings_of(session)
         # In space by gravity alone, because the turns will calibrate the gyros.
