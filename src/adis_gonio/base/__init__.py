@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import abc
+import contextlib
 import importlib
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Self
 
 __version__ = "0.1.0"
@@ -51,3 +52,12 @@ class Closing(abc.ABC):
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+    @contextlib.contextmanager
+    def closed_on_error(self) -> Iterator[None]:
+        """Close the object if an exception ends the block; otherwise it stays open."""
+        try:
+            yield
+        except BaseException:
+            self.close()
+            raise

@@ -24,9 +24,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from adis_gonio.base import Closing
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import (
-    AdisGonioError,
     BusClosedError,
     BusError,
     BusTimeoutError,
@@ -143,7 +143,7 @@ SYSFS = Path("/sys/bus/iio/devices")
 T = TypeVar("T")
 
 
-class IioDevice:
+class IioDevice(Closing):
     """An IIO device of this machine or of a server, read through libiio.
 
     Parameters
@@ -610,11 +610,8 @@ def open_from_url(url: BusUrl) -> IioSource:
             raise UsageError(f"'{url.text}': write iio:ip:HOST/DEVICE or iio:ip:HOST:PORT/DEVICE")
         context, name = f"ip:{found['host']}:{found['port'] or PORT}", found["device"] or ""
     device = IioDevice(f"iio:{url.place}", context, name)
-    try:
+    with device.closed_on_error():
         return IioSource(url.text, device, poll_hz=poll_hz, rate_hz=rate_hz)
-    except AdisGonioError:
-        device.close()
-        raise
 
 
 def find_devices() -> list[Device]:

@@ -219,15 +219,12 @@ class SessionRunner(Operator):
             The file cannot be written, or the session began with another sensor.
         """
         archive = Archive.open_existing(path)
-        try:
+        with archive.closed_on_error():
             bench = SessionBench(sensor, Settings.from_dict(archive.header.settings))
             if auto:
                 bench.require_auto(archive.plan())
             bench.require_same_sensor(archive)
             return cls(bench, archive, auto=auto, extend=extend, resumed=True, advisor=advisor)
-        except BaseException:
-            archive.close()
-            raise
 
     @property
     def reversed(self) -> bool:

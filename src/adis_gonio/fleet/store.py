@@ -22,6 +22,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from adis_gonio.base import Closing
 from adis_gonio.base.errors import DataError, OutputError
 from adis_gonio.base.jsonable import finite
 from adis_gonio.base.numbers import counted
@@ -53,7 +54,7 @@ _REPLACED = (
 )
 
 
-class Store:
+class Store(Closing):
     """Stores the record of every session file, found by the digest of the file.
 
     Parameters
@@ -83,10 +84,8 @@ class Store:
         first = Path(places[0])
         return cls(path or (first if first.is_dir() else first.parent) / NAME)
 
-    def __enter__(self) -> Store:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
+        """Close the file."""
         self._connection.close()
 
     @property

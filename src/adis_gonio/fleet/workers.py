@@ -25,7 +25,7 @@ from itertools import islice
 from multiprocessing import get_context
 from typing import TYPE_CHECKING
 
-from adis_gonio.base import __version__
+from adis_gonio.base import Closing, __version__
 from adis_gonio.base.errors import FleetError, NotInstalledError, UsageError, install_extra
 from adis_gonio.fleet.session_record import Job, Options, SessionRecord, lost, work
 
@@ -44,7 +44,7 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
-class LocalPool:
+class LocalPool(Closing):
     """Computes sessions in several processes on this machine.
 
     Parameters
@@ -60,10 +60,8 @@ class LocalPool:
         self._compute = compute
         self._pool: ProcessPoolExecutor | None = None
 
-    def __enter__(self) -> LocalPool:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
+        """Kill the processes."""
         if self._pool is not None:
             for process in (self._pool._processes or {}).values():
                 process.kill()
@@ -139,7 +137,7 @@ They may lack the package, so no function of it is used.
 """
 
 
-class Cluster:
+class Cluster(Closing):
     """Computes sessions on the workers of a dask scheduler.
 
     Parameters
@@ -165,16 +163,11 @@ class Cluster:
         self.address = address
         self._count, self._looked, self._peopled = 0, 0.0, time.monotonic()
         self._client = _connected(address)
-        try:
+        with self.closed_on_error():
             self._check()
-        except BaseException:
-            self._client.close(timeout=CONNECT_S)
-            raise
 
-    def __enter__(self) -> Cluster:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
+        """Close the connection to the scheduler."""
         with suppress(Exception):  # the scheduler may have gone
             self._client.close(timeout=CONNECT_S)
 

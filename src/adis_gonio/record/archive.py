@@ -623,7 +623,7 @@ class Archive(ArchiveView):
         if header.fixture_sigma_deg is not None and math.isinf(header.fixture_sigma_deg):
             values["fixture_sigma_deg"] = "free"
         values["created_utc"] = header.created_utc or schema.utc_now()
-        try:
+        with archive.closed_on_error():
             with translated_errors(path):
                 make_durable(archive._connection)
             with archive._transaction(new=True):
@@ -631,9 +631,6 @@ class Archive(ArchiveView):
                     archive._connection.execute(statement)
                 for key, value in values.items():
                     archive._insert("meta", key, value)
-        except BaseException:
-            archive.close()
-            raise
         return archive
 
     @classmethod

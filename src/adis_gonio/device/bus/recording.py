@@ -568,11 +568,8 @@ def open_recorder(url: BusUrl) -> RecordingBus:
     if not path or not colon or not inner:
         raise UsageError(f"'{url.text}': write record:FILE:URL, such as record:run.rec:sim:?seed=1")
     bus = open_bus(inner)
-    try:
+    with bus.closed_on_error():
         return RecordingBus(bus, path)
-    except BaseException:
-        bus.close()
-        raise
 
 
 def open_replay(url: BusUrl) -> ReplayBus:

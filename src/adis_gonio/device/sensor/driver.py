@@ -151,11 +151,8 @@ def open_sensor(url: str, *, variant: str = "adis16354", check: bool = True) -> 
         The manual self-test is on, so that the check cannot judge the readings.
     """
     bus = open_bus(url)
-    try:
+    with bus.closed_on_error():
         return Adis16354(bus, variant, check=check)
-    except BaseException:
-        bus.close()
-        raise
 
 
 class Adis16354(Closing):
