@@ -41,7 +41,7 @@ from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.sampling import OUTPUTS
 from adis_gonio.sim.testing.faults import Faults
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
-from adis_gonio.sim.testing.pins import ChipPins, VirtualClock
+from adis_gonio.sim.testing.pins import ChipPins
 from fakes.cp2130_device import Cp2130Device
 from fakes.cp2130_usb import FakeUsbBackend, UsbBoard
 from fakes.mcp2210_device import Mcp2210Device
@@ -49,6 +49,7 @@ from fakes.mcp2210_hid import FakeHid, HidBoard
 from fakes.numbered_scans import Judge, NumberedChip
 from fakes.serial_port import FakePort
 from fakes.spidev_kernel import FakeSpidevKernel
+from fakes.virtual_clock import VirtualClock
 
 FAST = SpiTiming(1e6, 9.0, 40.0)
 UNPLUG = 2e-4

@@ -36,8 +36,9 @@ from adis_gonio.device.sensor.scanning import ScanLayout, StreamedScans
 from adis_gonio.device.sensor.settings import decode_numbers
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
-from adis_gonio.sim.testing.pins import ChipPins, VirtualClock
+from adis_gonio.sim.testing.pins import ChipPins
 from fakes.serial_port import FakePort
+from fakes.virtual_clock import VirtualClock
 
 NAMES = ("XGYRO_OUT", "YGYRO_OUT", "ZGYRO_OUT", "XACCL_OUT", "YACCL_OUT", "ZACCL_OUT", "XTEMP_OUT")
 TABLE = registers(NAMES)

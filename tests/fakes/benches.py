@@ -9,12 +9,13 @@ from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.testing.bus_contract import WatchedChip
 from adis_gonio.sim.testing.faults import Faults
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
-from adis_gonio.sim.testing.pins import ChipPins, VirtualClock
+from adis_gonio.sim.testing.pins import ChipPins
 from fakes.cp2130_device import Cp2130Device
 from fakes.mcp2210_device import Mcp2210Device
 from fakes.mcp2210_hid import FakeHid, HidBoard
 from fakes.serial_port import FakePort
 from fakes.spidev_kernel import FakeSpidevKernel
+from fakes.virtual_clock import VirtualClock
 
 SPIDEV_PATH = "/dev/spidev0.0"
 

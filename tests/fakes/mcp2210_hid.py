@@ -19,6 +19,15 @@ HEADER = 4
 """Bytes of an answer that carry its meaning; what follows is guarded by USB's CRC alone."""
 
 
+def flipped(faults: Faults, answer: bytes) -> bytes:
+    """The answer with those bits of its header flipped that the faults draw."""
+    out = bytearray(answer)
+    for k in range(min(HEADER, len(out))):
+        if faults.happens("flip"):
+            out[k] ^= 1 << faults.dice.randrange(8)
+    return bytes(out)
+
+
 class HidBoard:
     """A board at a port.
 
@@ -72,7 +81,7 @@ class HidBoard:
         if faults.happens("short"):
             self.device.short = True
         hung = faults.hangs(clock.now_s())
-        answer = faults.flipped(self.device.report(report), 0, HEADER)
+        answer = flipped(faults, self.device.report(report))
         if faults.happens("drop"):
             return True
         arrival = max(clock.now_s() + self.latency_s, self.answers[-1][0] if self.answers else 0.0)

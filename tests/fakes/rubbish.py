@@ -31,12 +31,13 @@ from adis_gonio.device.bus import (
 )
 from adis_gonio.device.bus.wire import protocol as wire
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
-from adis_gonio.sim.testing.pins import ChipPins, VirtualClock
+from adis_gonio.sim.testing.pins import ChipPins
 from fakes.cp2130_device import Cp2130Device
 from fakes.cp2130_usb import FakeUsbBackend, UsbBoard
 from fakes.mcp2210_device import CHIP_SETTINGS, SETTINGS, Mcp2210Device
 from fakes.mcp2210_hid import FakeHid, HidBoard
 from fakes.spidev_kernel import MESSAGE, RD_MODE32, TRANSFER, FakeSpidevKernel
+from fakes.virtual_clock import VirtualClock
 
 FAST = SpiTiming(1e6, 9.0, 40.0)
 VALUES = {0x1A00 + 0x200 * k: 0x123 + 0x111 * k for k in range(6)}

@@ -30,11 +30,12 @@ from adis_gonio.sim.testing.bus_contract import DATA_READY_ON, BusContract, Rig,
 from adis_gonio.sim.testing.doubles import SimulatedBoard
 from adis_gonio.sim.testing.faults import Faults
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
-from adis_gonio.sim.testing.pins import ChipPins, VirtualClock, WorkClock
+from adis_gonio.sim.testing.pins import ChipPins, WorkClock
 from fakes.benches import SerialBench as Bench
 from fakes.boot_loader import BootingBoard, BootLoader
 from fakes.numbered_scans import Judge, NumberedChip, words_of
 from fakes.serial_port import FakePort
+from fakes.virtual_clock import VirtualClock
 
 FAST = SpiTiming(1e6, 9.0, 40.0)
 SEVEN = [0x0400, 0x0600, 0x0800, 0x0A00, 0x0C00, 0x0E00, 0x1000]

@@ -20,8 +20,9 @@ from adis_gonio.record.session_reader import read_session
 from adis_gonio.record.source import Settings
 from adis_gonio.sim import SimBus, SimulatedChip, World
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
-from adis_gonio.sim.testing.pins import ChipPins, VirtualClock
+from adis_gonio.sim.testing.pins import ChipPins
 from fakes.serial_port import FakePort
+from fakes.virtual_clock import VirtualClock
 
 SEED = 4
 EDGES = ("first", "last")

@@ -16,7 +16,8 @@ from adis_gonio import open_sensor
 from adis_gonio.base.errors import BusTimeoutError, UsageError
 from adis_gonio.sim.testing import Faults, SimulatedBoard, open_board, open_simulated
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
-from adis_gonio.sim.testing.pins import ChipPins, VirtualClock
+from adis_gonio.sim.testing.pins import ChipPins
+from fakes.virtual_clock import VirtualClock
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="a pty needs POSIX")
 

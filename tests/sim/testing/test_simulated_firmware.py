@@ -11,7 +11,8 @@ from cobs import cobs
 
 from adis_gonio.sim import SimulatedChip, World
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
-from adis_gonio.sim.testing.pins import ChipPins, VirtualClock, WorkClock
+from adis_gonio.sim.testing.pins import ChipPins, WorkClock
+from fakes.virtual_clock import VirtualClock
 
 NO_SESSION, UNKNOWN, LENGTH, BUSY, FRAME, WRITES, VALUE, REUSED, VERSION = range(1, 10)
 HELLO, CONFIGURE, EXCHANGE, STREAM, STOP, RESET, STATISTICS = range(1, 8)

@@ -90,17 +90,6 @@ class Faults:
             self.hung_until_s = now_s + self.hang_s
         return now_s < self.hung_until_s
 
-    def flipped(self, data: bytes, first: int, last: int) -> bytes:
-        """Return a copy of `data` in which some bytes have one flipped bit.
-
-        Each byte from `first` to `last` (exclusive) may be affected.
-        """
-        out = bytearray(data)
-        for k in range(first, min(last, len(out))):
-            if self.happens("flip"):
-                out[k] ^= 1 << self.dice.randrange(8)
-        return bytes(out)
-
     def delayed_s(self) -> float:
         """Draw the additional delay of a transfer in s; 0 if no delay happens."""
         return self.delay_s * self.dice.random() * 2 if self.happens("delay") else 0.0

@@ -1,7 +1,7 @@
 """The SPI wires and RST between a bridge and a simulated chip, and the clocks of device models.
 
-`VirtualClock` advances only if the program waits or works; `DeviceClock` and `WorkClock` follow the wall
-clock.
+`DeviceClock` and `WorkClock` follow the wall clock. A clock for tests may advance only if the program waits
+or works.
 """
 
 from __future__ import annotations
@@ -9,26 +9,6 @@ from __future__ import annotations
 import time
 
 from adis_gonio.sim.chip import SimulatedChip
-
-
-class VirtualClock:
-    """Clock that advances only by simulated waits and work, so that a time-out takes no real time."""
-
-    def __init__(self, now_s: float = 0.0) -> None:
-        self._now_s = now_s
-
-    def now_s(self) -> float:
-        """Return the present time in s of the virtual clock."""
-        return self._now_s
-
-    def sleep_s(self, seconds: float) -> None:
-        """Advance the clock by `seconds`, without waiting."""
-        if seconds > 0:
-            self._now_s += seconds
-
-    def advance_to(self, time_s: float) -> None:
-        """Advance the clock to a time in s at which the device's work ends, unless it is later already."""
-        self._now_s = max(self._now_s, time_s)
 
 
 class DeviceClock:
@@ -89,11 +69,11 @@ class ChipPins:
     ----------
     chip : SimulatedChip
         The chip.
-    clock : VirtualClock or DeviceClock
-        Clock on which transfers take time.
+    clock : DeviceClock
+        Clock on which transfers take time, or another one with its methods.
     """
 
-    def __init__(self, chip: SimulatedChip, clock: VirtualClock | DeviceClock) -> None:
+    def __init__(self, chip: SimulatedChip, clock: DeviceClock) -> None:
         self.chip = chip
         self.clock = clock
         self.free_s = clock.now_s()
