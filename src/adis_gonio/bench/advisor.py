@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from adis_gonio.base.errors import FitError
 from adis_gonio.model.records import Session
@@ -49,23 +49,6 @@ class Advice:
     summary: dict[str, Any] = field(default_factory=dict)
 
 
-class Advisor(Protocol):
-    """Interface of objects that propose further positions during a session."""
-
-    def advise(self, session: Session, visited: int, reachable: Callable[[Position], bool]) -> Advice:
-        """Choose the next positions to measure.
-
-        Parameters
-        ----------
-        session : Session
-            Session with all dwells so far.
-        visited : int
-            Number of positions that were requested before and accepted.
-        reachable : callable
-            Returns True for a position that can be visited.
-        """
-
-
 class TraceAdvisor:
     """Advisor that traces the session and proposes the measurements that the trace recommends.
 
@@ -90,8 +73,8 @@ class TraceAdvisor:
     def advise(self, session: Session, visited: int, reachable: Callable[[Position], bool]) -> Advice:
         """Trace the session, and propose the measurements that the trace recommends.
 
-        `visited` is the number of positions that were requested before and accepted; `reachable` returns
-        True for a position that can be visited.
+        `session` has all dwells so far. `visited` is the number of positions that were requested before and
+        accepted; `reachable` returns True for a position that can be visited.
         """
         from adis_gonio.tracing.proposals import LEAST_SEPARATION, sentences
         from adis_gonio.tracing.trace import trace

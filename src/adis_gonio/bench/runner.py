@@ -29,7 +29,7 @@ from pathlib import Path
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import AdisGonioError, SessionError, UsageError
 from adis_gonio.base.shapes import ShapeError, moment
-from adis_gonio.bench.advisor import Advisor
+from adis_gonio.bench.advisor import TraceAdvisor
 from adis_gonio.bench.dialogue import Operator, Questions, Reply
 from adis_gonio.bench.dwell_recorder import DwellRecorder
 from adis_gonio.bench.events import (
@@ -81,7 +81,7 @@ class SessionRunner(Operator):
         auto: bool,
         extend: bool,
         resumed: bool,
-        advisor: Advisor | None = None,
+        advisor: TraceAdvisor | None = None,
     ) -> None:
         super().__init__()
         self.bench = bench
@@ -111,7 +111,7 @@ class SessionRunner(Operator):
         gravity_mps2: float = STANDARD_GRAVITY_MPS2,
         fixture_sigma_deg: float | None = None,
         stage_curve: StageCurve | None = None,
-        advisor: Advisor | None = None,
+        advisor: TraceAdvisor | None = None,
         **metadata: str,
     ) -> SessionRunner:
         """Begin a new session in a new file.
@@ -137,7 +137,7 @@ class SessionRunner(Operator):
         stage_curve : StageCurve or None
             Errors of the stage according to its certificate, which correct the declared angles; None
             without one.
-        advisor : Advisor or None
+        advisor : TraceAdvisor or None
             Source of further positions when the plan is done; None if there is none.
         metadata : str
             Texts to keep with the session: `title`, `note` and the names in
@@ -189,7 +189,7 @@ class SessionRunner(Operator):
         *,
         auto: bool = False,
         extend: bool = False,
-        advisor: Advisor | None = None,
+        advisor: TraceAdvisor | None = None,
     ) -> SessionRunner:
         """Continue with the remaining positions of a session, with the session's own settings.
 
@@ -206,7 +206,7 @@ class SessionRunner(Operator):
             True to answer each question by its default; needs a stage that the program can move.
         extend : bool
             With `auto`: True to accept the extension that a two-position session offers.
-        advisor : Advisor or None
+        advisor : TraceAdvisor or None
             Source of further positions when the plan is done; None if there is none.
 
         Raises

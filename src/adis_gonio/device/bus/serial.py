@@ -34,7 +34,7 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,19 +95,6 @@ A loader that ignores the zeros receives nothing more until this time is over.
 B = TypeVar("B", bound=Body)
 
 
-class Port(Protocol):
-    """A serial port as the link uses it; its methods raise only errors of this package."""
-
-    def receive(self, wait_s: float, /) -> bytes:
-        """Return the bytes that have arrived, after waiting at most `wait_s` seconds for the first."""
-
-    def send(self, data: bytes, /) -> None:
-        """Send all bytes of `data`."""
-
-    def close(self) -> None:
-        """Close the port."""
-
-
 class RefusedError(Exception):
     """The firmware refused a request and did not execute the refused copy.
 
@@ -131,8 +118,8 @@ class SerialLink:
 
     Parameters
     ----------
-    port : Port
-        The open port.
+    port : SerialPort
+        The open port, or another object with its methods.
     url : str
         URL of the bus, used in messages.
     clock : Clock
@@ -146,7 +133,9 @@ class SerialLink:
         Packets of streams with their times of arrival, in order.
     """
 
-    def __init__(self, port: Port, *, url: str, clock: Clock, dice: random.Random | None = None) -> None:
+    def __init__(
+        self, port: SerialPort, *, url: str, clock: Clock, dice: random.Random | None = None
+    ) -> None:
         self.port = port
         self.url = url
         self.retries = self.late = 0
@@ -524,7 +513,7 @@ class SerialBus(HostBus):
 
     Parameters
     ----------
-    port : Port
+    port : SerialPort
         The open port, which the bus closes.
     url : str
         URL of the bus, used in messages.
@@ -559,7 +548,7 @@ class SerialBus(HostBus):
 
     def __init__(
         self,
-        port: Port,
+        port: SerialPort,
         *,
         url: str = "serial:",
         clock: Clock = WALL,
@@ -773,7 +762,7 @@ def load() -> Any:
 
 
 class SerialPort:
-    """Adapter from an open port of pyserial to `Port`.
+    """An open port of pyserial, with methods that raise only errors of this package.
 
     The modem lines are not used, so a port without them (a pty, many sockets) also works.
     """
@@ -895,12 +884,14 @@ def _cannot_open(error: OSError, place: str, url: str) -> BusError:
     return host.opening_error(error, url, place, "tty", missing)
 
 
-def open_from_url(url: BusUrl, *, port: Port | None = None, clock: host.Clock = host.WALL) -> SerialBus:
+def open_from_url(
+    url: BusUrl, *, port: SerialPort | None = None, clock: host.Clock = host.WALL
+) -> SerialBus:
     """Open a board with the project's firmware by its URL (see the module's text).
 
     Parameters
     ----------
-    port : Port
+    port : SerialPort
         An open port to use; None opens the port of the URL by pyserial.
     clock : Clock
         The bus's clock.

@@ -102,11 +102,6 @@ class Term(ABC):
         """Return the indices of the amplitudes among the values (p,), without shape parameters."""
         return list(range(len(values)))
 
-    @property
-    def bounds(self) -> Floats | None:
-        """Lower and upper limit (p, 2) of each value; None without limits."""
-        return None
-
     def limited(self, old: Floats, new: Floats) -> Floats:
         """Return the new values, limited to the range that one step of a fit may reach from `old`."""
         return new
