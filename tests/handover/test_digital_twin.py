@@ -87,7 +87,7 @@ def test_the_world_of_a_twin_states_the_values_of_the_fit_as_its_truth(session, 
     unnamed = NamelessTerm("drift of x", ("time",), 0.0, "bias", (0,), basis)
     fit = final.with_terms([*final.terms, unnamed], [*final.values.terms, np.zeros(1)])
     noise = noise_of(session, final.data.unit)
-    truth = LikeWorld(fit, noise, sensor=session.sensor, seed=1, offset_s=5.0).truth()
+    truth = LikeWorld(fit, noise, sensor=session.sensor, seed=1).truth()
     (quadratic,) = (k for k, term in enumerate(final.terms) if term.name == "quadratic")
     assert truth["traced.k2_x"] == final.values.terms[quadratic][0] == pytest.approx(3.0, abs=0.5)
     assert truth["delta_k"] == pytest.approx(final.values.base[1] / final.values.base[2] - 1)

@@ -31,6 +31,9 @@ from adis_gonio.sim.settings import WorldSettings
 from adis_gonio.sim.world import World
 from adis_gonio.tracing.trace_result import TraceResult
 
+_OPENING_S = 5.0
+"""Time of the simulation in s at which the session begins, after the driver has opened the sensor."""
+
 
 @dataclass(frozen=True)
 class SamplesNoise:
@@ -112,13 +115,10 @@ class TermEffect(Effect):
     data : Readings
         Readings of the session, whose measured history of temperature and loads, and variance of each
         dwell, are used instead of the simulated ones.
-    offset_s : float
-        Time of the simulation at which the session begins.
     """
 
     term: Term = field(kw_only=True)
     data: Readings = field(kw_only=True)
-    offset_s: float = field(kw_only=True)
 
     name = "traced"
     cause = "a term that a trace found"
@@ -150,7 +150,7 @@ class TermEffect(Effect):
             variance = np.take(measured.variance_mg2, conditions.order.astype(np.intp), axis=0, mode="clip")
         return replace(
             conditions,
-            time_s=conditions.time_s - self.offset_s,
+            time_s=conditions.time_s - _OPENING_S,
             temperature_history=measured.temperature_history,
             load_history=measured.load_history,
             variance_mg2=variance,
@@ -178,8 +178,6 @@ class LikeWorld(World):
         the mean reading of the dwell, magnified so that its steps are finer than the noise.
     seed : int
         Seed of the noise and of random errors.
-    offset_s : float
-        Time of the simulation at which the session begins.
 
     Attributes
     ----------
@@ -189,13 +187,12 @@ class LikeWorld(World):
         Factor on the readings minus `zero_mg`; 1 for a variant.
     """
 
-    def __init__(self, fit: Fit, noise: SamplesNoise, *, sensor: str, seed: int, offset_s: float) -> None:
+    def __init__(self, fit: Fit, noise: SamplesNoise, *, sensor: str, seed: int) -> None:
         data = self._data = fit.data
-        self._offset_s = offset_s
         effects = []
         for term, values in zip(fit.terms, fit.values.terms, strict=True):
             kind = AngleTerm if term.enters_angle else TermEffect
-            effects.append((kind(term=term, data=data, offset_s=offset_s), values))
+            effects.append((kind(term=term, data=data), values))
         part = VARIANTS.get(sensor, VARIANTS["adis16354"])
         super().__init__(_settings(fit), part=part, seed=seed, effects=effects)
         # Noise like the simulated part's hides its steps; its range is several times 1000 mg.
@@ -220,13 +217,13 @@ class LikeWorld(World):
     def temperature_c(self, time_s: Floats) -> Floats:
         """Return the temperature (n,) in °C that the session measured; 25 °C if it was not recorded."""
         history = self._data.conditions.temperature_history or (np.zeros(1), np.full(1, 25.0))
-        return np.interp(time_s - self._offset_s, *history)
+        return np.interp(time_s - _OPENING_S, *history)
 
     def supply_v(self, time_s: Floats) -> Floats:
         """Return the supply voltage (n,) in V that the session measured; 5 V if it was not recorded."""
         known = self._data.conditions
         supply = np.full(len(known), 5.0) if known.supply_v is None else known.supply_v
-        return np.interp(time_s - self._offset_s, known.time_s, supply)
+        return np.interp(time_s - _OPENING_S, known.time_s, supply)
 
 
 _MOVE_DPS = 1e5
@@ -254,8 +251,6 @@ def _settings(fit: Fit) -> WorldSettings:
     return WorldSettings(**{**common, **own})
 
 
-_OPENING_S = 5.0
-"""Time of the simulation in s at which the session begins, after the driver has opened the sensor."""
 _BLOCK_SCANS = 4096
 """Number of scans in a block: a simulated sensor takes long for each block, and no time to fill it."""
 _REGISTERS = (*ACCEL_OUT, "XTEMP_OUT", "SUPPLY_OUT")
@@ -287,7 +282,7 @@ def simulate_like(session: Session, traced: Fit, *, seed: int = 0) -> Session:
     data = readings_of(session)
     fit = traced.on(data)
     noise = noise_of(session, data.unit)
-    world = LikeWorld(fit, noise, sensor=session.sensor, seed=seed, offset_s=_OPENING_S)
+    world = LikeWorld(fit, noise, sensor=session.sensor, seed=seed)
     bus = SimBus(world=world)
     begin_s = float(session.dwells[0].time_s[0])
     period_s = sample_period_s(noise.smpl_prd)
