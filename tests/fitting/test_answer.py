@@ -139,7 +139,7 @@ def test_the_reference_temperature_is_stated(bent):
 
 def test_where_a_trace_ran_the_answer_has_its_effects_and_its_values(bent):
     _, fitted, result = bent
-    answer = answer_with_trace(fitted, result, own=False)
+    answer = answer_with_trace(fitted, result)
     assert answer.recommended.effects == ("quadratic",)  # biases are the method's own
     assert answer.values["delta_k"] == result.base["delta_k"]
     assert answer.scores["trace"].angle_rms_deg < 0.3 * answer.scores["ml"].angle_rms_deg
@@ -155,7 +155,7 @@ def test_where_a_trace_ran_the_answer_has_its_effects_and_its_values(bent):
 def test_a_trace_that_predicts_worse_is_not_the_answer(bent):
     _, fitted, result = bent
     poor = dataclasses.replace(result, fits=result.fits[:1])
-    answer = answer_with_trace(fitted, poor, own=False)
+    answer = answer_with_trace(fitted, poor)
     assert not isinstance(answer, TracedAnswer)
     assert answer.recommended.effects == ()
 
@@ -164,7 +164,7 @@ def test_a_trace_that_finds_the_biases_alone_leaves_the_answer_of_the_fit(bent):
     _, fitted, result = bent
     only = dataclasses.replace(result, steps=tuple(s for s in result.steps if s.effect == "bias"))
     assert only.steps
-    answer, plain = answer_with_trace(fitted, only, own=False), Answer.of(fitted, own=False)
+    answer, plain = answer_with_trace(fitted, only), Answer.of(fitted, own=False)
     assert answer.values == plain.values
     assert answer.title == plain.title
     assert "the trace finds" in answer.why
@@ -183,7 +183,7 @@ def test_the_page_leads_with_the_answer_and_has_its_numbers(bent):
     headings = re.findall(r"<h2[^>]*>([^<]+)</h2>", page)
     assert headings[:2] == ["Certificate", "Answer"]
     assert {"Uncertainty budget", "Methods on the same readings"} <= set(headings)
-    answer = answer_with_trace(fitted, result, own=False)
+    answer = answer_with_trace(fitted, result)
     for line in answer.lines:
         for cell in (line.value, line.u, line.expanded):
             assert cell in page

@@ -142,7 +142,7 @@ def test_a_trace_says_which_effects_and_the_answer_is_that_of_the_traced_model(t
         {key: found[key] for key in ("effect", "axes", "p_value", "parameters")}
         for found in trace.as_dict()["found"]
     ]
-    answer = answer_with_trace(adis_gonio.fit(path), trace, own=False)
+    answer = answer_with_trace(adis_gonio.fit(path), trace)
     assert record.model_effects == answer.recommended.effects
     assert record.values["delta_k"].as_dict() == answer.values["delta_k"].as_dict()
     assert math.isfinite(record.values["delta_phi"].U)

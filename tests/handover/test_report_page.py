@@ -350,7 +350,7 @@ def test_the_facts_of_a_session_are_stated_with_their_units():
 
 def test_the_answer_stands_first_in_large_numerals_with_what_covers_it(page, curved):
     session, result, _ = curved
-    values = answer_with_trace(fit(session, "ml"), result, own=False).values
+    values = answer_with_trace(fit(session, "ml"), result).values
     key = page[page.index('<dl class="key">') : page.index("</dl>")]
     assert page.index("<main>") < page.index('<dl class="key">') < page.index("<p>", page.index("<main>"))
     assert key.count("<dt>") == 3
@@ -431,7 +431,7 @@ def test_page_one_is_a_certificate_that_a_laboratory_can_sign(curved):
     assert {"date", "name, signature"} <= set(facts)
     assert first.count("name, signature") == 1
     assert first.count("<svg") == 2
-    answer = answer_with_trace(fits[0], result, own=False)
+    answer = answer_with_trace(fits[0], result)
     statement = state_conformity(Tolerance(0.05), answer.error_curves())
     assert [line for line in statement.lines if html.escape(line[1:]) not in first] == []
     assert statement.with_calibration.verdict == "pass"
@@ -455,7 +455,7 @@ def test_without_a_tolerance_or_an_uncertainty_the_certificate_states_no_conform
 def test_the_curves_are_the_errors_of_the_sensor_that_was_measured(curved):
     """K_x 1.002, Δφ 0.2°, biases 8 and −5 mg, 3 mg of quadratic: the error of X and Y read as they are."""
     session, result, _ = curved
-    before, after = answer_with_trace(fit(session, "ml"), result, own=False).error_curves()
+    before, after = answer_with_trace(fit(session, "ml"), result).error_curves()
     theta = np.radians(before.angle_deg)
     psi = np.radians(12.0) - theta
     x = 1002 * np.cos(psi) + 8 + 3 * np.cos(psi) ** 2

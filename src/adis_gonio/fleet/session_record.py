@@ -381,7 +381,7 @@ def _results(session: Session, *, trace: bool) -> dict[str, Any]:
     from adis_gonio.tracing.traced_answer import answer_with_trace
 
     found = traced_by(session) if trace else None
-    answer = answer_with_trace(fit(session), found, own=False)
+    answer = answer_with_trace(fit(session), found)
     score = answer.scores.get(answer.scored_as)
     known = {**answer.parameters, **answer.values}
     results: dict[str, Any] = {

@@ -629,7 +629,7 @@ def build_page(
     """
     result = traced if isinstance(traced, TraceResult) else None
     best = next((fit for fit in reversed(fits) if fit.comparison is not None), None)
-    answer = None if best is None else answer_with_trace(best, result, own=False)
+    answer = None if best is None else answer_with_trace(best, result)
     positions = next((fit.position_findings for fit in fits if fit.position_findings), ())
     if result is not None:
         positions = result.position_findings

@@ -104,8 +104,8 @@ class TracedAnswer(Answer):
         return [f"residual {after.residual_rms:.3g} {after.unit} rms"]
 
 
-def answer_with_trace(result: FitResult, trace: TraceResult | None, *, own: bool = True) -> Answer:
-    """Return the answer of a session that was fitted and traced.
+def answer_with_trace(result: FitResult, trace: TraceResult | None) -> Answer:
+    """Return the answer of a fitted and traced session, with the result of the recommended method.
 
     Parameters
     ----------
@@ -113,8 +113,6 @@ def answer_with_trace(result: FitResult, trace: TraceResult | None, *, own: bool
         Result of the fit by any method.
     trace : TraceResult, optional
         Trace of the fitted session.
-    own : bool
-        True shows `result`, False the result of the recommended method.
 
     Returns
     -------
@@ -122,7 +120,7 @@ def answer_with_trace(result: FitResult, trace: TraceResult | None, *, own: bool
         A `TracedAnswer` if the trace added effects and its model predicts as well as the best method;
         otherwise the answer of the fit.
     """
-    plain = Answer.of(result, own=own)
+    plain = Answer.of(result, own=False)
     comparison = plain.comparison
     if trace is None or not trace.fits or result.session is None:
         return plain

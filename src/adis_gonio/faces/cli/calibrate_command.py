@@ -239,7 +239,7 @@ def _show_result(
 
     truth = session.facts.get("truth")
     traced = _trace(session, advisor) if advisor is not None else None
-    answer = answer_with_trace(fit(session), traced, own=False)
+    answer = answer_with_trace(fit(session), traced)
     if as_json:
         document = answer.as_dict()
         document |= {"session": session.source, "complete": complete, "truth": truth}
