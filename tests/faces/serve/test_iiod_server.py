@@ -9,6 +9,7 @@ import struct
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from adis_gonio.base.errors import BusTimeoutError
 from adis_gonio.device.bus import open_bus
 from adis_gonio.device.sensor import Adis16354
 from adis_gonio.faces.cli import main
-from adis_gonio.faces.serve import iio_server
+from adis_gonio.faces.serve import iio_device, iio_server
 from adis_gonio.faces.serve.iio_server import MOST_PENDING, SEND_BUFFER
 from adis_gonio.sim.bus import SimBus
 from adis_gonio.sim.world import World
@@ -211,6 +212,17 @@ def test_a_client_that_does_not_read_loses_its_own_oldest_scans_and_nobody_elses
         assert_gapless(quick.scans(24, 8000))  # the queue, and what the kernel takes, have less room
         slow.close()
         wait_until(lambda: any(" 0 lost" not in line for line in server.told))
+
+
+def test_lost_scans_are_counted_also_after_the_client_has_read_all_others():
+    hub = SimpleNamespace(close=lambda buffer: None)
+    server = SimpleNamespace(device=None, sampler=None, hub=hub, allow_writes=False)
+    client = iio_server.ClientSession(None, None, server)
+    client._buffer = iio_device.Buffer(SimpleNamespace(dtype=SCAN), 10)
+    client._buffer.lost = 7
+    assert client.lost == 7
+    client._close()
+    assert client.lost == 7
 
 
 def test_a_client_that_dies_in_the_middle_leaves_no_trace():

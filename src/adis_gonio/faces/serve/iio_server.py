@@ -102,7 +102,7 @@ class ClientSession:
     @property
     def lost(self) -> int:
         """Number of scans that were lost because this client read too slowly."""
-        return self._lost_before + (self._buffer.lost if self._buffer else 0)
+        return self._lost_before + (0 if self._buffer is None else self._buffer.lost)
 
     @property
     def idle_s(self) -> float:
