@@ -92,3 +92,21 @@ def test_no_process_runs_away(first, second):
     for _ in range(3000):
         spread = f @ spread @ f.T + np.diag([made.drive_mg2, 0.0])
     assert spread[0, 0] == pytest.approx(100.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(("first", "second"), [(1.2, -0.8), (0.0, -0.6), (0.9, 0.0), (0.0, 0.0)])
+@pytest.mark.parametrize("steps", [1, 2, 5, 40])
+def test_the_mean_of_steps_has_the_variance_of_correlated_values(first, second, steps):
+    rng = np.random.default_rng(7)
+    long = process(rng, 200_000, first, second, 3.0) + white(rng, 200_000, 2.0)
+    r1 = first / (1 - second)
+    variance = process(rng, 200_000, first, second, 3.0).real.var()
+    made = coloured(4.0, variance, r1, first * r1 + second)
+    means = long.reshape(-1, steps).mean(axis=1)
+    assert made.variance_of_mean(steps) == pytest.approx(means.real.var(), rel=0.1)
+
+
+def test_noise_of_an_unknown_sensor_leaves_no_correlation_on_average():
+    rng = np.random.default_rng(8)
+    found = [disturbance_of(1000 + white(rng, 50, 1.2), 49, 0.0) for _ in range(2000)]
+    assert np.mean([one.variance_of_mean(5) for one in found]) == pytest.approx(1.44 / 5, rel=0.05)

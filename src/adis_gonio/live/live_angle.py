@@ -90,17 +90,12 @@ def sensing_of(measuring: Measuring, part: str, noise_mg: float) -> Sensing:
     settings = measuring if isinstance(measuring, Configuration) else None
     filter_m = settings.filter_m if settings else 0
     range_dps = settings.gyro_range_dps if settings else None
-    known = VARIANTS[part].performance if part in VARIANTS else None
-    return Sensing(
-        period_s,
-        noise_mg / white_noise_gain(filter_m),
-        known.gyro_noise_dps if known else GENERIC_WALK_DEG / math.sqrt(period_s),
-        filter_m,
-        range_dps,
-        **{}
-        if known is None
-        else {"drift_mg": known.bias_instability_mg, "bias_mg": known.initial_bias_mg},
-    )
+    noise_mg /= white_noise_gain(filter_m)
+    if part not in VARIANTS:
+        return Sensing(period_s, noise_mg, GENERIC_WALK_DEG / math.sqrt(period_s), filter_m, range_dps)
+    known = VARIANTS[part].performance
+    noise, drift = (noise_mg, known.gyro_noise_dps), (known.bias_instability_mg, known.initial_bias_mg)
+    return Sensing(period_s, *noise, filter_m, range_dps, *drift)
 
 
 def corrected_angle(
@@ -168,9 +163,9 @@ class LiveAngle:
         Angle computed with the calibration; None without a calibration, or if gravity is perpendicular to
         the plane.
     u_deg : float or None
-        Standard uncertainty of the corrected angle: by the noise of the newest samples, by the 1/f noise
-        since the calibration, and by the calibration. Without a calibration by the noise alone. None if
-        unknown, and with a single sample.
+        Standard uncertainty of the corrected angle: by the noise and shaking of the last second, by the 1/f
+        noise since the calibration, and by the calibration. Without a calibration by noise and shaking
+        alone. None if unknown.
     still : bool or None
         True if no axis varies by more than at rest, over a window of samples; None until the first window
         is complete.
@@ -276,9 +271,8 @@ class AngleMeter:
         self._window = window_samples(measuring)
         self._limits = limits_from_noise(np.full(3, noise_mg), self._window, step_mg)
         self._least = max(1, round(every_s * measuring.sample_rate_hz))
-        # Samples behind the filter are correlated: this is the number of independent ones per sample.
-        filter_m = measuring.filter_m if isinstance(measuring, Configuration) else 0
-        self._independent = white_noise_gain(filter_m) ** 2 if filter_m else 1.0
+        self._turns = False
+        """True if the blocks have the rates of the gyros."""
         self._waiting: list[Block] = []
         self._kept = np.empty((0, 3))
         self._first_s: float | None = None
@@ -290,9 +284,9 @@ class AngleMeter:
         if not len(block):
             return None
         series = block_series(block)
-        if "gyro" in series:
-            temperature = series.get("temperature_c")
-            self._smoother.feed(block.time_s, block.accel_mg, series["gyro"], temperature)
+        self._turns = "gyro" in series
+        rates = series.get("gyro", np.zeros_like(block.accel_mg))
+        self._smoother.feed(block.time_s, block.accel_mg, rates, series.get("temperature_c"))
         if self._first_s is None:
             self._first_s = float(block.time_s[0])
         self._waiting.append(block)
@@ -308,11 +302,10 @@ class AngleMeter:
         mean = accel.mean(axis=0)
         known = [one["temperature_c"] for one in map(block_series, blocks) if "temperature_c" in one]
         temperature_c = float(np.concatenate(known).mean()) if known else None
-        spread_mg = u_mg = still = None
+        u_mg = self._smoother.gravity_u_mg(len(accel))
+        spread_mg = still = None
         if len(self._kept) > 1:
-            # Uncertainty of the mean by the scatter of the newest samples.
             spread_mg = self._kept.std(axis=0, ddof=1)
-            u_mg = spread_mg / math.sqrt(max(1.0, len(accel) * self._independent))
         if spread_mg is not None and len(self._kept) >= self._window:
             # Only the upper limit is tested: a stuck axis is reported by `bringup`.
             still = bool((spread_mg <= self._limits.upper).all())
@@ -322,29 +315,20 @@ class AngleMeter:
         raw_deg, u_deg = self._raw(mean, u_mg)
         corrected_deg = None
         if self._calibration is not None:
-            corrected_deg, u_deg = corrected_angle(self._calibration, mean, temperature_c, u_mg)
+            corrected_deg, u_deg = corrected_angle(self._calibration, mean, temperature_c, np.full(3, u_mg))
             if u_deg is not None:
-                u_deg = None if u_mg is None else math.hypot(u_deg, self._drift_deg, self._off_deg)
+                u_deg = math.hypot(u_deg, self._drift_deg, self._off_deg)
         doubts = {"calibration": self._off_deg > 0, "alarm": any(map(count_alarms, blocks))}
         notes = tuple(name for name, holds in doubts.items() if holds)
         return LiveAngle(
-            end_s - first_s,
-            raw_deg,
-            corrected_deg,
-            u_deg,
-            still,
+            end_s - first_s, raw_deg, corrected_deg, u_deg, still,
             None if spread_mg is None else float(spread_mg.max()),
-            temperature_c,
-            self._lost,
-            self._smoothed(end_s, notes),
-            notes,
-        )
+            temperature_c, self._lost, self._smoothed(end_s, notes), notes,
+        )  # fmt: skip
 
-    def _raw(self, mean_mg: Floats, u_mg: Floats | None) -> tuple[float, float | None]:
-        x, y = float(mean_mg[0]), float(mean_mg[1])
-        u_deg = None
-        if u_mg is not None and (x or y):
-            u_deg = math.degrees(math.hypot(y * u_mg[0], x * u_mg[1]) / (x * x + y * y))
+    def _raw(self, mean_mg: Floats, u_mg: float) -> tuple[float, float | None]:
+        length_mg = math.hypot(mean_mg[0], mean_mg[1])
+        u_deg = math.degrees(u_mg / length_mg) if length_mg else None
         return wrap_degrees(self._zero_deg + float(raw_angle_deg(mean_mg))), u_deg
 
     def _take_rest(self, mean_mg: Floats, temperature_c: float | None, spread_mg: float) -> None:
@@ -379,7 +363,7 @@ class AngleMeter:
 
         `notes` are added to those of the angle. Return None until a lag has passed.
         """
-        angle, calibration = self._smoother.angle(), self._calibration
+        angle, calibration = self._smoother.angle() if self._turns else None, self._calibration
         if angle is None:
             return None
         u_deg, notes = angle.u_deg, (*angle.notes, *notes)

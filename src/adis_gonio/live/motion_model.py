@@ -50,6 +50,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from operator import attrgetter
 from typing import Protocol
 
 import numpy as np
@@ -295,16 +296,10 @@ class Stepper:
         self._rate_before = float(rate[2])
         known = not math.isnan(rows[-1, 7])
         step = Increment(
-            middle_s,
-            length_s,
-            np.zeros(3) if first else mean_turn,
-            self._unseen,
-            rate,
-            np.array([level.real, -level.imag, accel[:, 2].mean()]),
-            self._gap,
-            saturated,
+            middle_s, length_s, np.zeros(3) if first else mean_turn, self._unseen, rate,
+            np.array([level.real, -level.imag, accel[:, 2].mean()]), self._gap, saturated,
             float(rows[:, 7].mean()) if known else None,
-        )
+        )  # fmt: skip
         self._unseen, self._gap = 0.0, 0.0
         self._last[1:4] -= mean_turn  # type: ignore[index]
         return step
@@ -365,6 +360,16 @@ class Disturbance:
     second: float = 0.0
     drive_mg2: float = 0.0
 
+    def variance_of_mean(self, steps: int) -> float:
+        """Return the variance in mg² that the disturbance gives the mean of `steps` successive steps."""
+        lags = [1.0, self.first / (1 - self.second)]
+        while len(lags) < steps:
+            lags.append(self.first * lags[-1] + self.second * lags[-2])
+        # Each lag k occurs in 2 (steps − k) of the pairs of steps, lag 0 in `steps` pairs.
+        pairs = 2.0 * np.arange(steps, 0, -1)
+        pairs[0] = steps
+        return self.white_mg2 / steps + self.coloured_mg2 * float(pairs @ lags[:steps]) / steps**2
+
 
 def disturbance_of(level: Floats, at: int, sensor_mg2: float) -> Disturbance:
     """Estimate the disturbance of gravity in a time step from the steps around it.
@@ -376,7 +381,7 @@ def disturbance_of(level: Floats, at: int, sensor_mg2: float) -> Disturbance:
     at : int
         Index of the step.
     sensor_mg2 : float
-        Variance in mg² of a step's mean from the sensor's own noise.
+        Variance in mg² of a step's mean from the sensor's own noise; 0 if it is unknown.
     """
     if len(level) < LEAST_STEPS:
         return coloured(sensor_mg2, START_MG**2, 0.5, 0.0)
@@ -402,8 +407,11 @@ def disturbance_of(level: Floats, at: int, sensor_mg2: float) -> Disturbance:
     excess = zeroth - sensor_mg2
     if excess <= 2 * zeroth * math.sqrt(2 / free):
         return Disturbance(max(sensor_mg2, zeroth) + shock)
-    first = float((rest[1:] * rest[:-1].conj()).sum().real) / free / excess
-    second = float((rest[2:] * rest[:-2].conj()).sum().real) / free / excess
+    # In each of the two components, removing mean and slope from white noise takes about twice its variance
+    # from the sum of products at each lag. If the noise of the sensor is unknown, all counts as white.
+    taken = 4 * (sensor_mg2 or zeroth)
+    first = (float((rest[1:] * rest[:-1].conj()).sum().real) + taken) / free / excess
+    second = (float((rest[2:] * rest[:-2].conj()).sum().real) + taken) / free / excess
     return coloured(sensor_mg2 + shock, excess, first, second)
 
 
@@ -539,8 +547,10 @@ class Turned:
     lost : bool
         True if the gap before the step is so long that the angle is unknown and the sensor may have been
         switched off.
+    back : complex
+        Rotation by the gyros back to the attitude after the last gap.
     level : complex
-        Gravity in the plane as x − i y, in mg, turned back by the gyros to the attitude after the last gap.
+        Gravity in the plane as x − i y, in mg, without the lever arm and turned `back`.
     segment : int
         Number of gaps before the step.
     notes : tuple of str
@@ -555,6 +565,7 @@ class Turned:
     spin_rad_s2: float
     across_dps: float
     lost: bool = False
+    back: complex = 1.0
     level: complex = 0j
     segment: int = 0
     notes: tuple[str, ...] = ()
@@ -783,8 +794,8 @@ class AngleSmoother:
         self._phase_rad = wrap_radians(self._phase_rad + math.radians(float(turn)))
         by_x, by_y = turned.lever_mg
         felt = turned.gravity - by_x * float(known[LEVER_X]) - by_y * float(known[LEVER_Y])
-        level = felt * complex(math.cos(self._phase_rad), -math.sin(self._phase_rad))
-        self._seen.append(replace(turned, level=level, segment=self._segment, notes=notes))
+        back = complex(math.cos(self._phase_rad), -math.sin(self._phase_rad))
+        self._seen.append(replace(turned, back=back, level=felt * back, segment=self._segment, notes=notes))
         while len(self._seen) - self._done > self._lag:
             self._state = self._doubt_calibration(self._advance(self._state, self._done))
             self._done += 1
@@ -902,18 +913,37 @@ class AngleSmoother:
         observed = predicted + wrap_degrees(seen_deg - predicted)
         return TimeStep(f, shift, process, design, observed, per_mg**2 * disturbance.white_mg2)
 
-    def _disturbance(self, place: int) -> Disturbance:
+    def gravity_u_mg(self, samples: int) -> float:
+        """Return the standard uncertainty in mg of each axis in the mean of the newest `samples` readings.
+
+        It contains shaking, the acceleration by the lever arm and the sensor's noise, as the readings of
+        the last second show them. Before the first time step a sensor held in the hand is assumed.
+        """
+        if not self._seen:
+            return START_MG
+        steps = max(1, round(samples / self._sensing.step_samples))
+        # The steps differ in shocks only, which count in their own step.
+        variances = [
+            self._disturbance(place, 0.0, lambda seen: seen.gravity * seen.back).variance_of_mean(steps)
+            for place in range(max(0, len(self._seen) - steps), len(self._seen))
+        ]
+        return math.sqrt(sum(variances) / len(variances))
+
+    def _disturbance(
+        self, place: int, sensor_mg2: float, level_of: Callable[[Turned], complex]
+    ) -> Disturbance:
         seen = self._seen[place]
         if seen.increment.saturated:
-            return coloured(self._sensing.step_noise_mg2, SATURATED_MG**2, 0.9, 0.8)
+            return coloured(sensor_mg2, SATURATED_MG**2, 0.9, 0.8)
         first, last = max(0, place - self._back), min(len(self._seen), place + self._ahead + 1)
         # Steps without a break between them and this one.
         alike = [k for k in range(first, last) if self._seen[k].segment == seen.segment]
-        level = np.array([self._seen[k].level for k in alike])
-        return disturbance_of(level, alike.index(place), self._sensing.step_noise_mg2)
+        level = np.array([level_of(self._seen[k]) for k in alike])
+        return disturbance_of(level, alike.index(place), sensor_mg2)
 
     def _advance(self, state: StateEstimate, place: int) -> StateEstimate:
-        return advance(state, self._step(self._seen[place], self._disturbance(place), state))
+        disturbance = self._disturbance(place, self._sensing.step_noise_mg2, attrgetter("level"))
+        return advance(state, self._step(self._seen[place], disturbance, state))
 
     # -- the angle -----------------------------------------------------------------------------------
 
@@ -935,12 +965,8 @@ class AngleSmoother:
         drift_deg = math.degrees(self._sensing.drift_rms_mg / max(abs(at.gravity), 1.0))
         return SmoothedAngle(
             at.increment.time_s - self._sensing.delay_s,
-            wrap_degrees(float(mean[ANGLE])),
-            math.hypot(float(u[ANGLE]), drift_deg),
-            at.rate_dps * (1 - float(mean[SCALE])) - float(drift_dps),
-            float(mean[ZERO]),
-            float(u[ZERO]),
-            at.increment.accel_mg,
-            at.increment.temperature_c,
+            wrap_degrees(float(mean[ANGLE])), math.hypot(float(u[ANGLE]), drift_deg),
+            at.rate_dps * (1 - float(mean[SCALE])) - float(drift_dps), float(mean[ZERO]), float(u[ZERO]),
+            at.increment.accel_mg, at.increment.temperature_c,
             (*notes, "gyro_calibration") if self._doubted else notes,
-        )
+        )  # fmt: skip
