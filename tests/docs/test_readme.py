@@ -13,7 +13,7 @@ from adis_gonio.faces.cli import main
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "README.md").read_text("utf-8")
 SHELL = re.findall(r"^```sh\n(.*?)^```$", PAGE, re.M | re.S)
-COMMANDS = [part.strip() for block in SHELL for line in block.splitlines() for part in line.split("&&")]
+COMMANDS = [part.strip() for block in SHELL for part in re.split(r"&&\s|\n", block) if part.strip()]
 
 
 def test_the_page_is_short_and_states_near_the_top_that_no_hardware_was_used():
@@ -23,6 +23,7 @@ def test_the_page_is_short_and_states_near_the_top_that_no_hardware_was_used():
 
 def test_the_first_block_installs_the_tool_and_the_second_runs_the_tests():
     assert COMMANDS[:2] == ["python3 -m venv .venv", ".venv/bin/pip install '.[report,bench]'"]
+    assert SHELL[0].count("&&") == len(SHELL[0].splitlines()), "one command"
     assert SHELL[1] == "bash scripts/run_tests.sh\n"
     assert "exec bash scripts/run_tests.sh" in (ROOT / ".ci" / "run").read_text("utf-8")
 
