@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from adis_gonio.base.errors import UsageError
+from adis_gonio.base.uncertainty import Value
 from adis_gonio.fleet.calibration_due import due_of
 from adis_gonio.fleet.fleet_pages import history_sections
 from adis_gonio.fleet.sensor_history import headline, history_of, known_serial
@@ -54,6 +55,27 @@ def test_the_probability_of_a_drift_is_taken_times_the_number_of_quantities(t, d
     track = history_of("A7", sessions).tracks["bias_y"]
     assert track.drift.p_value == pytest.approx(0.01 if drifts else 0.02, rel=0.01)
     assert track.drifts == drifts
+
+
+def test_a_u_of_few_degrees_of_freedom_does_not_raise_the_rate_of_false_alarms():
+    """Sessions of an unchanged sensor whose u was estimated with four degrees of freedom."""
+    rng = np.random.default_rng(8)
+    outside, signals, slopes = [], [], []
+    for _ in range(60):
+        sessions = []
+        for when in years(16):
+            held = {
+                name: Value(0.1 * rng.normal(), 0.1 * math.sqrt(rng.chisquare(4) / 4), unit, dof=4)
+                for name, unit in (("delta_phi", "deg"), ("bias_x", "mg"), ("bias_y", "mg"))
+            }
+            sessions.append(replace(made_up(when), values=held))
+        for track in history_of("A7", sessions).tracks.values():
+            outside.append(len(track.chart.outside) / 15)
+            signals.append(track.chart.signal is not None)
+            slopes.append(abs(track.drift.slope.value) <= track.drift.slope.U)
+    assert np.mean(outside) < 0.012  # 0.018 if these u were exact
+    assert np.mean(signals) < 0.06  # 0.10
+    assert np.mean(slopes) > 0.92  # 0.89
 
 
 def test_effects_of_a_session_without_a_trace_are_unknown_and_not_none_found():

@@ -26,7 +26,7 @@ from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import UsageError, suggest
 from adis_gonio.base.jsonable import JsonRecord, json_object
 from adis_gonio.base.numbers import NAMES, counted, format_number, format_p, label_quantity, with_unit
-from adis_gonio.base.uncertainty import DRIFTING, Value
+from adis_gonio.base.uncertainty import DRIFTING, NORMAL_95, Value
 from adis_gonio.fleet.fleet_summary import unshared_u
 from adis_gonio.fleet.session_record import ANGLE, QUANTITIES, SessionRecord
 
@@ -343,8 +343,8 @@ class Track(JsonRecord):
 
     @property
     def u(self) -> Floats:
-        """Standard uncertainties (n,) of the values."""
-        return np.array([value.u for value in self.values], dtype=float)
+        """Standard uncertainties (n,) of the values, of normal errors with the same U."""
+        return self.expanded / NORMAL_95
 
     @property
     def expanded(self) -> Floats:
@@ -492,10 +492,12 @@ def _unfit(record: SessionRecord, *, biases: bool = False) -> str:
 def own_u(records: Sequence[SessionRecord], name: str) -> Floats:
     """Return the standard uncertainties (n,) of a quantity without the errors of a stage that all share.
 
-    `name` is the quantity. The result applies to differences between the sessions (`unshared_u`).
+    `name` is the quantity. The result applies to differences between the sessions (`unshared_u`). A u with
+    few degrees of freedom counts as the u of a normal error with the same U: by chance it may be far below
+    the error, and then no chart could tell this session from a changed sensor.
     """
     return unshared_u(
-        np.array([record.values[name].u or 0.0 for record in records]),
+        np.array([record.values[name].U or 0.0 for record in records]) / NORMAL_95,
         [record.stage_curve for record in records],
         [record.stage_influence.get(name, ()) for record in records],
     )
