@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
@@ -145,6 +146,25 @@ def test_the_predicted_error_covers_what_the_calibration_in_use_does(sessions, b
 def test_three_sessions_that_agree_need_a_tolerance_of_a_few_times_their_u():
     chart = due_of(of(*(made_up(f"{2015 + n}-01-01", u=0.02) for n in range(3))), LIMIT).rules[1]
     assert np.datetime64(chart.date) > np.datetime64("2017-01-01")
+
+
+@pytest.mark.parametrize("apart", [0.1, 1.0, 7.0])
+def test_repeats_within_a_month_leave_the_date_to_the_staircase(apart):
+    """They say nothing of the drift over a year, unless they show one."""
+
+    def repeats(rate):
+        days = [replace(made_up("2015-01-01", u=0.005, delta_phi=rate * n), when=at(n)) for n in range(4)]
+        return due_of(of(*days), LIMIT)
+
+    def at(n):
+        return (datetime(2015, 1, 1, tzinfo=UTC) + timedelta(days=apart * n)).isoformat()
+
+    still = repeats(0.0)
+    assert (still.by, still.rules[1].date) == ("staircase", None)
+    assert still.rules[0].date == still.date == f"2016-01-{1 + int(3 * apart):02d}"
+    moving = repeats(0.02)
+    assert moving.by == "control chart"
+    assert moving.date < "2015-02-20"
 
 
 def test_uncertainty_brings_the_date_forward():

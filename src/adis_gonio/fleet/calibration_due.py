@@ -6,7 +6,8 @@ shortened if it fails. All numbers are choices of this program; the first interv
 user's, with defaults.
 
 *Control chart*: the drift of the parameters, with its uncertainty, is extrapolated from the last
-calibration to the last day on which the error conforms to the tolerance. The scatter of n sessions about
+calibration to the last day on which the error conforms to the tolerance. Sessions within the shortest
+interval cannot bound a drift that they do not show, and give no date. The scatter of n sessions about
 the line has n − 2 degrees of freedom, and the stated u add two: with the uniform shrinkage prior (Daniels,
 Can. J. Stat. 27, 1999, 567) for u²/(u² + τ²), the posterior of u² + τ² is an inverse χ² with n degrees of
 freedom, cut off below u². τ is the standard deviation between sessions in excess of u.
@@ -297,8 +298,8 @@ def drifted_curve(history: History, drifts: Mapping[str, Drift], days: float) ->
 def _control_chart(history: History, limits: Rules) -> Rule:
     method = "control chart"
     drifts = {n: t.drift for n, t in history.tracks.items() if n in PARAMETERS and t.drift is not None}
+    there = counted(len(history.sessions), "session")
     if not drifts:
-        there = counted(len(history.sessions), "session")
         why = f"a drift needs {LEAST} sessions at different times that determine it, here: {there}"
         return Rule(method, None, why, "")
     limit = f"{limits.tolerance.limit_deg:g}°"
@@ -315,18 +316,20 @@ def _control_chart(history: History, limits: Rules) -> Rule:
     if not passes(0):
         bound = drifted_curve(history, drifts, 0).bound_deg(limits.tolerance.accepted_risk)
         why = (
-            f"a calibration with its scatter between {len(history.sessions)} sessions needs a tolerance of "
+            f"a calibration with its scatter between {there} needs a tolerance of "
             f"{bound:.4g}° already, not {limit}: add sessions, calibrate with more dwells, or raise the "
             "tolerance"
         )
         return Rule(method, date_of(last), why, assumes)
+    span = float(np.ptp(history.days))
+    if span < SHORTEST_DAYS and not any(history.tracks[name].drifts for name in drifts):
+        why = f"{there} within {span:.0f} d show no drift, but do not bound it: repeat one later"
+        return Rule(method, None, why, "")
     # The error grows with time: the last day with a pass, by bisection.
     days = range(1, round(LONGEST_DAYS) + 1)
     good = bisect(days, False, key=lambda day: not passes(day))
     if good == len(days):
-        why = (
-            f"the error conforms to {limit} for {LONGEST_DAYS / YEAR_DAYS:.0f} years, the longest interval"
-        )
+        why = f"the error conforms to {limit} for {LONGEST_DAYS / YEAR_DAYS:.0f} a, the longest interval"
         return Rule(method, date_of(last + LONGEST_DAYS), why, assumes)
     drifts_text = ", ".join(
         f"{NAMES.get(m, m)} {format_uncertain(one.slope.value, one.slope.U, one.slope.unit, sign=True)}"
