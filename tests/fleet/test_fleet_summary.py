@@ -12,7 +12,7 @@ from scipy.stats import binom, fisher_exact
 
 from adis_gonio.base.uncertainty import OUTLYING
 from adis_gonio.fleet.fleet_pages import build_page, fleet_sections
-from adis_gonio.fleet.fleet_summary import by_rank, by_share, robust_z, summarise
+from adis_gonio.fleet.fleet_summary import by_rank, by_share, by_unit, robust_z, summarise
 from adis_gonio.fleet.session_record import COLUMNS, SessionRecord, write_parquet
 from fleet.sessions import quiet_rows, row
 
@@ -48,6 +48,14 @@ def test_sessions_on_one_stage_share_the_error_that_its_certificate_leaves(rng):
 def test_in_fleets_without_any_odd_one_hardly_ever_anyone_is_named(rng):
     named = sum(bool(summarise(quiet_rows(rng, 60)).outlying) for _ in range(100))
     assert named <= binom.ppf(0.999, 100, OUTLYING)
+
+
+def test_a_good_unit_of_a_small_fleet_is_as_improbable_as_its_p_value_says(rng):
+    units, level, fleets = 9, 3e-3, 6000
+    named = 0
+    for values in rng.normal(size=(fleets, units)):
+        named += len(by_unit("bias_x", values, np.zeros(units), np.arange(units)).find(level))
+    assert 0.6 < named / (fleets * units * level) < 1.2
 
 
 def test_a_stage_an_operator_and_a_unit_that_are_odd_are_named_and_nobody_else(

@@ -98,11 +98,11 @@ FEWEST_UNITS = 5
 """Smallest number of sensors in a fleet for a test for outlying sensors."""
 FEWEST = 3
 """Smallest number of sessions or sensors that a group, and the rest of the fleet, must have for a test."""
-_MAD_EFFICIENCY = 0.37
-"""Efficiency of the median absolute deviation, compared with the standard deviation.
+_MAD_DOF = 0.42
+"""Degrees of freedom of a robust z of n normal values, divided by n − ½.
 
-A robust z of n values has the tails of Student's distribution with about this factor times n − 1 degrees of
-freedom.
+Student's distribution then has the tails of z: simulated values exceed its quantiles of 10⁻³ to 3·10⁻⁵ at
+most 1.1 times as often as stated, for n of 5 to 60.
 """
 
 Codes = NDArray[np.int64]
@@ -204,7 +204,7 @@ def by_unit(quantity: str, values: Floats, u: Floats, unit: Codes) -> FamilyOfTe
         # Sessions of a unit may share their error, so its u is not reduced by their number.
         doubt = np.sqrt(np.bincount(index, np.nan_to_num(u[good]) ** 2) / count)
         z, centre = robust_z(median, doubt)
-        p = 2 * stdtr(_MAD_EFFICIENCY * (len(names) - 1), -np.abs(z))
+        p = 2 * stdtr(_MAD_DOF * (len(names) - 0.5), -np.abs(z))
         return [
             Outlying("unit", int(names[k]), quantity, z[k], p[k], median[k], centre, int(count[k]))
             for k in np.flatnonzero(p < level)
