@@ -178,6 +178,19 @@ def test_due_names_rule_reason_and_assumption_and_that_the_limit_is_assumed(sess
     assert "assumed" not in capsys.readouterr().out
 
 
+def test_due_names_the_sessions_that_take_no_part(tmp_path, capsys):
+    year(tmp_path / "dated.csv", 2012, 0.2)
+    undated = year(tmp_path / "undated.csv", 2013, 0.2)
+    undated.write_text(
+        undated.read_text("utf-8").replace("2013-03-01T09:00:", "").replace("Z,", ","), "utf-8"
+    )
+    code, told = document(capsys, "due", "A7", tmp_path)
+    assert (code, told["date"]) == (0, "2013-03-01")
+    assert main(["due", "A7", str(tmp_path)]) == 0
+    (line,) = [one for one in capsys.readouterr().err.splitlines() if "left out" in one]
+    assert f"{undated}: no date" in line
+
+
 def test_due_of_one_session_says_what_is_lacking(sessions, capsys):
     assert main(["due", "B2", str(sessions)]) == 0
     said = " ".join(capsys.readouterr().out.split())

@@ -172,7 +172,10 @@ def due_command(
 
     limits = Rules(tolerance or DEFAULT_TOLERANCE, tolerance is None, first_days)
     with _indexed(**indexed) as (store, _):
-        found = due_of(history_of(serial, _records_of(store, serial)), limits)
+        history = history_of(serial, _records_of(store, serial))
+    for record, reason in history.left_out:
+        show.say(f"left out: {record.path}: {reason.removeprefix(record.path + ': ')}")
+    found = due_of(history, limits)
     if as_json:
         show.print_json(found.as_dict())
         return
