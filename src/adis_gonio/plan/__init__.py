@@ -8,8 +8,6 @@
 Names are imported when first used, so that reading a plan file does not import the search.
 """
 
-from __future__ import annotations
-
 from adis_gonio.base import lazily
 from adis_gonio.record.plans import find_plan, read_plan, write_plan
 

@@ -428,14 +428,11 @@ class Adis16354(Closing):
         period_s = configuration.sample_period_s
         usable = bool(USED_BY & self.bus.capabilities)
         looks = data_ready is None and usable and (configuration.data_ready or not leave_registers)
-        ready, at_end = bool(data_ready), contextlib.ExitStack()
+        loan = DataReadyLoan(self, table, period_s, writes=not leave_registers) if looks else None
+        ready = bool(data_ready) if loan is None else loan.wired
         with contextlib.ExitStack() as failed:
-            if looks:
-                loan = DataReadyLoan(self, table, period_s, writes=not leave_registers)
-                failed.callback(loan.give_back)
-                at_end.callback(loan.give_back)
-                ready = loan.wired
-            layout = ScanLayout(table, self.variant.name, self._gyro_range, period_s, at_end.close)
+            at_end = failed.callback(loan.give_back) if loan is not None else (lambda: None)
+            layout = ScanLayout(table, self.variant.name, self._gyro_range, period_s, at_end)
             if ready and Capability.STREAM in self.bus.capabilities:
                 frames = [int(frame) for frame in read_frames(table)]
                 scans = max(1, min(block_scans, int(LONGEST_EXCHANGE_S / period_s)))

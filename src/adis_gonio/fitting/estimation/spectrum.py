@@ -523,8 +523,7 @@ def _flicker(
     from scipy.special import fdtri
 
     axes = density.shape[1]
-    excess, weight, spread = np.zeros(axes), 0.0, np.zeros(axes)
-    ordinates = 0.0
+    excess, weight, ordinates = np.zeros(axes), 0.0, 0.0
     for group in groups:
         lowest = np.arange(min(_LOWEST, len(group.weight)))
         k = lowest + 1.0

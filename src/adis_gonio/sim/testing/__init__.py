@@ -5,8 +5,6 @@ They also include a bus that expects given frames. pytest finds the fixtures `si
 used. See docs/simulator.md.
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from adis_gonio.base import lazily
