@@ -735,7 +735,7 @@ def prediction_lines(
         yield from fold_text(decision, WIDTH)
     if found is not None:
         beware = f" {', '.join(found.beware)}" if found.best == "tell-apart" else ""
-        fitted = f", {', '.join(found.beware)} fitted beside" if found.beware and not beware else ""
+        fitted = f", {', '.join(found.beware)} also fitted" if found.beware and not beware else ""
         figure = f"{MEANING[found.best]}: {found.figure:.2g}"
         yield from fold_text(f"{_ASKED[found.best]}{beware}{fitted}; {figure}", WIDTH)
     yield ""

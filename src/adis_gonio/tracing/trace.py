@@ -318,7 +318,7 @@ class TraceRun:
         self.weighed = self.selection
         if self.scatter is None and not self.final.adequate:
             self.weighed = attempt(
-                "an unknown cause beside the models",
+                "an unknown cause as an alternative",
                 lambda: compete_with_unknown(self.selection, self.max_effects),
                 self.selection,
             )
