@@ -182,16 +182,16 @@ def test_students_standard_deviation_is_wider_by_its_degrees_of_freedom(few: Fit
 def test_why_two_ways_differ_is_told_by_what_explains_it(few: FitResult) -> None:
     linear = few["bias_x"]
     wide = linear.u * math.sqrt(8 / 6)
-    assert module._why(linear, linear.u, 0.01, wide) == ""
-    by_student = module._why(linear, wide, 0.01, wide)
+    assert module._explain_difference(linear, linear.u, 0.01, wide) == ""
+    by_student = module._explain_difference(linear, wide, 0.01, wide)
     assert by_student.startswith("u is 1.15 times the linear one: with 8 degrees of freedom Student's")
     # A hundredth and two standard errors of the trials are no difference.
-    assert module._why(linear, 1.018 * linear.u, 0.005, wide) == ""
-    assert module._why(linear, 1.022 * linear.u, 0.005, wide)
-    bent = module._why(linear, 1.5 * wide, 0.01, wide)
+    assert module._explain_difference(linear, 1.018 * linear.u, 0.005, wide) == ""
+    assert module._explain_difference(linear, 1.022 * linear.u, 0.005, wide)
+    bent = module._explain_difference(linear, 1.5 * wide, 0.01, wide)
     assert bent.startswith("u is 1.73 times the linear one: the model is not linear enough")
     nothing = replace(linear, u=None)
-    assert module._why(nothing, 1.0, 0.01, wide).startswith("the linear u is zero")
+    assert module._explain_difference(nothing, 1.0, 0.01, wide).startswith("the linear u is zero")
 
 
 def test_values_of_students_distribution_are_hardly_ever_taken_for_a_model_that_bends(
@@ -221,7 +221,7 @@ def test_with_two_degrees_of_freedom_no_standard_deviation_exists() -> None:
     assert linear.dof == pytest.approx(2, abs=0.01)
     wide = module._students_u(result.sources, result.outputs[result.names.index("scale_x")].gradient)
     assert math.isinf(wide)
-    assert "no standard deviation exists" in module._why(linear, 5 * linear.u, 0.05, wide)
+    assert "no standard deviation exists" in module._explain_difference(linear, 5 * linear.u, 0.05, wide)
 
 
 def test_a_run_gives_each_parameter_both_ways_as_table_and_document(stated: FitResult) -> None:

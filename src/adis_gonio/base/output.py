@@ -80,20 +80,20 @@ def replacing(path: str | Path) -> Iterator[Path]:
         return
     target = path.resolve()
     try:
-        beside = _created_beside(target)
+        temporary = _create_temporary(target)
     except OSError as error:
         raise _unwritten(path, error) from error
     try:
-        yield beside
-        _flushed(beside)
-        beside.replace(target)
+        yield temporary
+        _flushed(temporary)
+        temporary.replace(target)
     except OSError as error:
-        if error.filename is not None and Path(os.fsdecode(error.filename)) not in (beside, target):
+        if error.filename is not None and Path(os.fsdecode(error.filename)) not in (temporary, target):
             raise  # the error is about another file
         raise _unwritten(path, error) from error
     finally:
         with suppress(OSError):
-            beside.unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
 
 
 def write_text(path: str | Path, text: str) -> None:
@@ -110,20 +110,20 @@ def _special(path: Path) -> bool:
     return path.exists() and not path.is_file() and not path.is_dir()
 
 
-def _created_beside(target: Path) -> Path:
+def _create_temporary(target: Path) -> Path:
     """Create an empty temporary file in the folder of `target`, and return its path.
 
     The new file has the permissions of `target`, or default permissions if `target` does not exist.
     """
     for number in count():
-        beside = target.with_name(f".{os.getpid()}-{number}.part-{target.name}")
+        temporary = target.with_name(f".{os.getpid()}-{number}.part-{target.name}")
         try:
-            os.close(os.open(beside, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+            os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         except FileExistsError:
             continue
         if target.is_file():
-            beside.chmod(target.stat().st_mode & 0o777)
-        return beside
+            temporary.chmod(target.stat().st_mode & 0o777)
+        return temporary
     raise AssertionError("unreachable")
 
 

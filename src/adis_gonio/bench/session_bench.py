@@ -327,7 +327,7 @@ class SessionBench:
     def restore_position(self, archive: ArchiveView, attempt: int) -> None:
         """Move a new simulated sensor to the position in which the archived attempt `attempt` left it.
 
-        Only the last move is repeated, at the present time: the sensor was powered on anew, as on a real
+        Only the last move is repeated, at the present time: the sensor was powered on again, as on a real
         bench. `bring_world_to` instead repeats all moves at their archived times.
         """
         for move in archive.moves_before(attempt)[-1:]:

@@ -286,23 +286,23 @@ def _score(prediction: DwellPrediction, rows: NDArray[np.bool_]) -> Score:
 
 
 def prediction_of(session: Readings, result: FitResult) -> DwellPrediction:
-    """Return the errors with which a method predicts every dwell of a session, without having seen it."""
+    """Return the errors with which a method predicts each dwell by a fit that does not use this dwell."""
     made = result.origin
     assert made is not None
     used = np.isin(session.position, result.positions) & ~session.check
 
-    def again(left_out: NDArray[np.bool_]) -> Fit:
+    def refit_without(left_out: NDArray[np.bool_]) -> Fit:
         rest = session.rows(~session.check & ~left_out)
         return METHOD_TABLE[result.method].refit(made.noise.applied(rest), made)
 
-    return predicted(made.noise.applied(session), used, made.fit, again)
+    return predicted(made.noise.applied(session), used, made.fit, refit_without)
 
 
 def predicted(
     data: Readings,
     used: NDArray[np.bool_],
     fit: Fit,
-    again: Callable[[NDArray[np.bool_]], Fit],
+    refit_without: Callable[[NDArray[np.bool_]], Fit],
 ) -> DwellPrediction:
     """Return the prediction errors of all dwells, each by a fit that does not use this dwell.
 
@@ -312,7 +312,7 @@ def predicted(
         All dwells of the session, with the estimated noise.
     used : (n,) bool
         True for the dwells that `fit` used; `fit` predicts the others.
-    again : callable
+    refit_without : callable
         Function that repeats the fit without the dwells at which its argument (n,) is True. If it raises
         `FitError`, the prediction errors of these dwells are NaN.
     """
@@ -322,7 +322,7 @@ def predicted(
     for left_out in held_out_groups(used):
         if used[left_out].any():
             try:
-                model = again(np.isin(np.arange(n), left_out))
+                model = refit_without(np.isin(np.arange(n), left_out))
             except FitError:
                 continue
         else:

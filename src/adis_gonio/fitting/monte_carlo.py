@@ -223,10 +223,16 @@ def _propagated(linear: Value, values: Floats, sources: Sources, gradient: Float
     doubt = math.sqrt(max(kurtosis - 1, 1e-3) / (4 * n))
     low, high = np.quantile(centred, [0.5 * (1 - COVERED), 0.5 * (1 + COVERED)]) + values.mean()
     wide = _students_u(sources, gradient)
-    return Propagated(linear, u, float(low), float(high), doubt, _why(linear, u, doubt, wide))
+    return Propagated(
+        linear, u, float(low), float(high), doubt, _explain_difference(linear, u, doubt, wide)
+    )
 
 
-def _why(linear: Value, u: float, doubt: float, wide: float) -> str:
+def _explain_difference(linear: Value, u: float, doubt: float, wide: float) -> str:
+    """Return the reason why the trials' `u` differs from the linear u; empty if they agree.
+
+    `doubt` is the standard error of `u` relative to it, `wide` is the linear u by Student's distribution.
+    """
     stated = linear.u or 0.0
     if abs(u - stated) <= (WITHIN + 2 * doubt) * stated:
         return ""

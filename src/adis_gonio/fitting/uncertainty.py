@@ -320,7 +320,7 @@ def _links(fit: Fit, rotation: Floats) -> Source:
     return Source(LINKS, *_STATED, u, moves, note, unit="deg")
 
 
-def _each(response: Floats, roots: Floats) -> Floats:
+def _by_dwell(response: Floats, roots: Floats) -> Floats:
     """Return the changes (p, n·axes) of p parameters by independent errors of each of n dwells.
 
     The errors have the covariances root·rootᵀ for `roots` (n, axes, axes); `response` (p, n, axes) is the
@@ -347,7 +347,7 @@ def _diagonal(variance: Floats) -> Floats:
     return np.asarray(variance[:, :, None] * np.eye(variance.shape[1]))
 
 
-def _own(data: Readings, noise: NoiseAssumptions) -> Floats:
+def _independent_noise(data: Readings, noise: NoiseAssumptions) -> Floats:
     """Return the covariance (n, axes, axes) of the mean readings from noise that averaging reduces.
 
     Quantization and 1/f noise are excluded.
@@ -371,13 +371,13 @@ def repeatability_of(data: Readings, noise: NoiseAssumptions) -> tuple[Floats, F
     first = np.full(n, _POOLED) if data.pooled else 3 * np.arange(n) + _EACH
     dof = np.minimum(data.dof, noise.scale_dof)
     estimate = first[:, None] + np.arange(axes) if data.noise_known else np.full((n, axes), _UNSTATED)
-    return _root(_own(data, noise)), np.repeat(dof[:, None], axes, axis=1), estimate
+    return _root(_independent_noise(data, noise)), np.repeat(dof[:, None], axes, axis=1), estimate
 
 
 def _repeatability(data: Readings, noise: NoiseAssumptions, response: Floats) -> Source:
     roots, dof, estimate = repeatability_of(data, noise)
     stated = data.noise_known and bool(np.isinf(data.dof).all())
-    mean, moves = _own(data, noise).mean(axis=0), _each(response, roots)
+    mean, moves = _independent_noise(data, noise).mean(axis=0), _by_dwell(response, roots)
     u = float(np.sqrt(np.trace(mean) / data.axes))
     evaluated, note = (_STATED, "stated (reading_u_mg)") if stated else (_STATISTICAL, "")
     return Source(REPEATABILITY, *evaluated, u, moves, note, dof.ravel(), estimate.ravel(), mean)
@@ -387,7 +387,7 @@ def _flicker(data: Readings, response: Floats) -> Source:
     moves = np.einsum("pna,nak->pk", response, data.slow)
     variance = (data.slow**2).sum(axis=2).mean(axis=0)
     if data.flicker is not None and data.flicker.any():
-        moves = np.concatenate([_each(response, _diagonal(np.sqrt(data.flicker))), moves], axis=1)
+        moves = np.concatenate([_by_dwell(response, _diagonal(np.sqrt(data.flicker))), moves], axis=1)
         variance = variance + data.flicker.mean(axis=0)
     kind: Kind = "A" if data.flicker_shown else "B"
     note = "none shown, no figure of the part"
@@ -440,7 +440,7 @@ def _quantization(data: Readings, response: Floats) -> Source:
     variance = data.quantization
     if variance is None:
         variance = np.zeros(data.mean.shape)
-    moves, u = _each(response, _diagonal(np.sqrt(variance))), float(np.sqrt(variance.mean()))
+    moves, u = _by_dwell(response, _diagonal(np.sqrt(variance))), float(np.sqrt(variance.mean()))
     note = "" if variance.any() else "the noise dithers it, or readings are averages"
     own = np.diag(variance.mean(axis=0))
     return Source(QUANTIZATION, "B", "rectangular", u, moves, note, reading_mg2=own)
@@ -496,7 +496,7 @@ def _model(
     bias.
     """
     axes = data.axes
-    extra = _each(response, np.tile(noise.extra_mg * np.eye(axes), (len(data), 1, 1)))
+    extra = _by_dwell(response, np.tile(noise.extra_mg * np.eye(axes), (len(data), 1, 1)))
     figures = VARIANTS[data.sensor].performance if data.sensor in VARIANTS else None
     figure = 0.0 if figures is None else figures.initial_bias_mg
     skew_u_rad = 0.0 if figures is None else figures.skew_u_rad

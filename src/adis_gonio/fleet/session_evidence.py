@@ -112,7 +112,7 @@ def columns_of(fit: Fit) -> tuple[list[str], Floats, dict[str, str]]:
     keys: list[str] = []
     blocks: list[tuple[int | slice, Floats]] = []
     for name, kind in catalogue("accelerometer").items():
-        reason = _why_not(kind, data)
+        reason = _reason_left_out(kind, data)
         if reason:
             missing[name] = reason
             continue
@@ -133,7 +133,8 @@ def columns_of(fit: Fit) -> tuple[list[str], Floats, dict[str, str]]:
     return keys, join_columns(blocks, data.mean.shape), missing
 
 
-def _why_not(kind: type[Effect], data: Readings) -> str:
+def _reason_left_out(kind: type[Effect], data: Readings) -> str:
+    """Return the reason why the evidence of a session cannot contain an effect; empty if it can."""
     if kind.prior == "constant":
         return "every session has its own"
     if kind.enters is Enters.SAMPLES or kind.within_dwell:

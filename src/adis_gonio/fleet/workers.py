@@ -91,7 +91,7 @@ class LocalPool(Closing):
                     while waiting and len(begun) < workers:
                         job = waiting[0]
                         request = (job.path, job.digest, options.as_dict(), __version__)
-                        with _interrupts_held():
+                        with _interrupts_blocked():
                             begun[self._pool.submit(self._compute, *request)] = job
                         waiting.popleft()
                     for future in futures.wait(begun, return_when=futures.FIRST_COMPLETED).done:
@@ -104,7 +104,7 @@ class LocalPool(Closing):
 
 
 @contextmanager
-def _interrupts_held() -> Iterator[None]:
+def _interrupts_blocked() -> Iterator[None]:
     """Context whose new processes ignore Ctrl-C in the terminal: only the parent handles it."""
     if not hasattr(signal, "pthread_sigmask"):
         yield

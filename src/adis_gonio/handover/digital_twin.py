@@ -137,14 +137,15 @@ class TermEffect(Effect):
     def attitude_rad(self, values: Floats, conditions: Conditions) -> Floats:
         """Return the angle in rad (n,) by which the term turns the sensor."""
         zeros = np.zeros((len(conditions), self.data.axes))
-        return np.asarray(self.term.added(values, zeros, self._seen(conditions)), np.float64)
+        return np.asarray(self.term.added(values, zeros, self._session_conditions(conditions)), np.float64)
 
     def reading(self, values: Floats, ideal: Floats, conditions: Conditions) -> Floats:
         """Return the contribution of the term to the readings, in mg (n, axes)."""
-        added = self.term.added(values, ideal[:, : self.data.axes], self._seen(conditions))
+        added = self.term.added(values, ideal[:, : self.data.axes], self._session_conditions(conditions))
         return np.pad(added, ((0, 0), (0, ideal.shape[1] - self.data.axes)))
 
-    def _seen(self, conditions: Conditions) -> Conditions:
+    def _session_conditions(self, conditions: Conditions) -> Conditions:
+        """Return simulated conditions with the session's own time, histories and variances."""
         measured, variance = self.data.conditions, None
         if measured.variance_mg2 is not None and conditions.order is not None:
             variance = np.take(measured.variance_mg2, conditions.order.astype(np.intp), axis=0, mode="clip")

@@ -23,8 +23,8 @@ def gyro_section(session: Session) -> Section | None:
     except AdisGonioError:
         return None
     sentences = [
-        f"By the mean rates of {result.held}: a gyro reads K D ω + b + G f, with ω the rate of turn, b its "
-        "zero rate, K its gain, D its axis in the accelerometers' frame, f their readings.",
+        f"By the mean rates of {result.extent}: a gyro reads K D ω + b + G f, with ω the rate of turn, b "
+        "its zero rate, K its gain, D its axis in the accelerometers' frame, f their readings.",
         f"Residual {numbers.format_number(result.residual_rms_dps)} °/s rms; χ² / degrees of freedom "
         f"{numbers.format_number(result.chi2)} / {result.dof}.",
     ]

@@ -310,7 +310,7 @@ class AngleMeter:
             # Only the upper limit is tested: a stuck axis is reported by `bringup`.
             still = bool((spread_mg <= self._limits.upper).all())
             if still:
-                self._take_rest(mean, temperature_c, float(spread_mg.max()))
+                self._check_at_rest(mean, temperature_c, float(spread_mg.max()))
         end_s = float(blocks[-1].time_s[-1])
         raw_deg, u_deg = self._raw(mean, u_mg)
         corrected_deg = None
@@ -331,7 +331,7 @@ class AngleMeter:
         u_deg = math.degrees(u_mg / length_mg) if length_mg else None
         return wrap_degrees(self._zero_deg + float(raw_angle_deg(mean_mg))), u_deg
 
-    def _take_rest(self, mean_mg: Floats, temperature_c: float | None, spread_mg: float) -> None:
+    def _check_at_rest(self, mean_mg: Floats, temperature_c: float | None, spread_mg: float) -> None:
         """Check the calibration at rest: compare the length of the reading `mean_mg` with local gravity.
 
         `temperature_c` is None if the sensor reports none: the mean of the calibration's session is taken.

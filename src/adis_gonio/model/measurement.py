@@ -459,14 +459,14 @@ class FreeAttitude(Measurement):
         unit = reading / np.maximum(np.linalg.norm(reading, axis=1, keepdims=True), 1e-300)
         seen = np.zeros(6, dtype=bool)
         seen[:3] = np.sqrt((unit**4).mean(axis=0)) >= SEEN
-        beside = np.column_stack([unit**2, unit])
+        others = np.column_stack([unit**2, unit])
         for k, (i, j) in enumerate(SKEW_AXES):
             # Part of the skew that is orthogonal to gains, biases and the skews accepted before.
             skew = unit[:, i] * unit[:, j]
-            left = skew - beside @ np.linalg.lstsq(beside, skew, rcond=1e-9)[0]
+            left = skew - others @ np.linalg.lstsq(others, skew, rcond=1e-9)[0]
             seen[3 + k] = np.sqrt((left**2).mean()) >= SEEN
             if seen[3 + k]:
-                beside = np.column_stack([beside, skew])
+                others = np.column_stack([others, skew])
         return seen
 
 
@@ -608,7 +608,7 @@ class JointMeasurement(Measurement):
         return self.models[0].size
 
     @cached_property
-    def _each(self) -> list[tuple[Measurement, NDArray[np.intp], NDArray[np.intp]]]:
+    def _by_session(self) -> list[tuple[Measurement, NDArray[np.intp], NDArray[np.intp]]]:
         """Model, indices of the dwells and indices (p,) of the parameters, for each session with dwells."""
         each = [(m, np.flatnonzero(self.session == k), self.numbers[k]) for k, m in enumerate(self.models)]
         return [one for one in each if len(one[1])]
@@ -650,7 +650,7 @@ class JointMeasurement(Measurement):
         A parameter common to several sessions has the mean of the starting values of these sessions.
         """
         total, count, attitudes = np.zeros(len(self.parameters)), np.zeros(len(self.parameters)), []
-        for model, rows, own in self._each:
+        for model, rows, own in self._by_session:
             base, attitude = model.begin(reading[rows], angle_rad[rows], conditions.rows(rows))
             total[own] += base
             count[own] += 1
@@ -699,7 +699,7 @@ class JointMeasurement(Measurement):
         """Return for each base parameter (p,) if the dwells of its session or part can determine it."""
         seen = np.zeros(len(self.parameters), dtype=bool)
         parts = np.array([origin.part for origin in self.origins])[self.session]
-        for model, rows, own in self._each:
+        for model, rows, own in self._by_session:
             part = parts == parts[rows[0]]
             whole = model.visible(reading[part], declared[part])
             here = model.visible(reading[rows], declared[rows])

@@ -198,9 +198,9 @@ def _sensitivity(settings: WorldSettings) -> Floats:
     misalignment = np.zeros((3, 3))
     misalignment[~np.eye(3, dtype=np.bool_)] = settings.by_axis("gyro_misalignment_other_deg")
     misalignment = np.sin(np.radians(misalignment))
-    beside = (misalignment**2).sum(axis=1)
-    if beside.max() >= 1:
-        raise UsageError(f"gyro_misalignment_{AXES[int(beside.argmax())]}…: no axis is misaligned so much")
+    squares = (misalignment**2).sum(axis=1)
+    if squares.max() >= 1:
+        raise UsageError(f"gyro_misalignment_{AXES[int(squares.argmax())]}…: no axis is misaligned so much")
     sensitivity = gains[:, None] * unit_directions(misalignment)
     turned = np.radians(settings.by_axis("gyro_triad_each_deg"))
     return np.asarray(sensitivity @ rotation_matrices(turned).T if turned.any() else sensitivity)

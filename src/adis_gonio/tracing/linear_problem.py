@@ -495,17 +495,17 @@ def _blocks(
     return numbers[shown].tolist(), blocks.with_prior(), prices
 
 
-def reduced(fit: Fit, beside: Sequence[Term] = ()) -> tuple[Floats, Floats]:
+def reduced(fit: Fit, further: Sequence[Term] = ()) -> tuple[Floats, Floats]:
     """Return an orthonormal basis of the whitened base model, and the target outside it.
 
     The target (rows,) contains the contributions of the fit's own terms, which are candidates like all
-    others. The basis (rows, k) includes the columns of the terms `beside`.
+    others. The basis (rows, k) includes the columns of the terms `further`.
     """
     left = fit.declared_misfit
     for k in range(len(fit.terms)):
         left = left + fit.added(k)
     target = fit.white(left[:, :, None])[:, 0]
-    every = [fit.base_columns, *(fit.candidate(term) for term in beside)]
+    every = [fit.base_columns, *(fit.candidate(term) for term in further)]
     base = orthonormal(fit.white(np.concatenate(every, axis=2)))
     return base, target - base @ (base.T @ target)
 

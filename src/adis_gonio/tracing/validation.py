@@ -151,7 +151,7 @@ def predicted_dwells(
 
 
 def determined(
-    data: Readings, masks: Sequence[NDArray[np.bool_]], beside: Sequence[Term] = ()
+    data: Readings, masks: Sequence[NDArray[np.bool_]], further: Sequence[Term] = ()
 ) -> NDArray[np.bool_]:
     """Return a mask (n,) of the dwells that the dwells of the other folds can predict.
 
@@ -166,13 +166,13 @@ def determined(
     ----------
     masks : sequence of (n,) bool
         The dwells of each fold.
-    beside : sequence of Term
+    further : sequence of Term
         Further terms of the model, which the other folds have to determine too.
     """
     begun = Fit.begin(data)
     # A bias on each axis, in units of the full reading.
     zero = np.tile(data.model.size * np.eye(data.axes), (len(data), 1, 1))
-    more = [begun.candidate(term) for term in beside]
+    more = [begun.candidate(term) for term in further]
     columns = begun.white_by_dwell(np.concatenate([begun.base_columns, zero, *more], axis=2))
     out = np.zeros(len(data), dtype=bool)
     for mask in masks:

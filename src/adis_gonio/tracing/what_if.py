@@ -212,8 +212,8 @@ def forced_terms(data: Readings, texts: Sequence[str]) -> list[NamedTerm]:
             base = f"the base model ({', '.join(one.name for one in data.model.parameters)})"
             others = " or ".join([base, *(term.label for term in chosen)])
             raise UsageError(f"--with {text}: this session cannot distinguish it from {others}")
-        beside = [*before, *(number[bias.label] for bias in biases[-1:] if bias.label in number)]
-        gained = 0.5 * problem.gains(*span(problem, beside)) - price(problem)
+        members = [*before, *(number[bias.label] for bias in biases[-1:] if bias.label in number)]
+        gained = 0.5 * problem.gains(*span(problem, members)) - price(problem)
         label = problem.terms[max(apart, key=lambda k: float(gained[k]))].label
         chosen.append(replace(next(term for term in variants if term.label == label), forced=True))
     return chosen

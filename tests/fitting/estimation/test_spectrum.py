@@ -59,7 +59,7 @@ def test_a_polynomial_alone_is_of_the_greatest_likelihood() -> None:
 @pytest.mark.parametrize(("fall", "strength"), [(1.0, 0.1), (2.0, 0.3), (4.0, 0.3)])
 def test_a_filter_beside_flicker_keeps_its_shape(fall: float, strength: float) -> None:
     mean = np.exp(-fall * X**2) + strength / X
-    found = module._fit_foot(1.0, (X, np.full(len(X), 400.0), mean, 1 / X), beside_flicker=True)
+    found = module._fit_foot(1.0, (X, np.full(len(X), 400.0), mean, 1 / X), with_flicker=True)
     assert found is not None
     # The white part at zero is one, whatever rises there beside it.
     assert np.polynomial.legendre.legval(-1.0, found.coefficients) == pytest.approx(0.0, abs=1e-6)
@@ -150,7 +150,7 @@ def test_white_is_a_constant_over_the_whole_band_and_nothing_else() -> None:
     assert module._Foot(0.5, 0.0, 0.1, 9.0, one).is_white
     assert not module._Foot(0.25, 0.0, 0.1, 9.0, one).is_white
     assert not module._Foot(0.5, 0.0, 0.1, 9.0, two).is_white
-    assert not module._Foot(0.5, 0.0, 0.1, 9.0, one, beside_flicker=True).is_white
+    assert not module._Foot(0.5, 0.0, 0.1, 9.0, one, with_flicker=True).is_white
 
 
 def test_levels_are_of_one_noise_as_bartletts_test_says() -> None:

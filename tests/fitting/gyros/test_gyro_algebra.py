@@ -139,7 +139,7 @@ def test_gains_and_directions_are_length_and_direction_of_each_row() -> None:
                 assert angle.unit == "deg"
                 assert angle.u < 1e-5
     assert result.turns == 10
-    assert result.held == "3 dwells and 10 turns"
+    assert result.extent == "3 dwells and 10 turns"
     (told,) = [line for line in result.warnings if "not determined" in line]
     assert told.endswith("g_sensitivity; measure poses with each axis up and down")
 

@@ -28,9 +28,9 @@ RESULT = GyroFit(
 
 
 def test_dwells_and_turns_are_counted_apart() -> None:
-    assert RESULT.held == "14 dwells and 3 turns"
-    assert replace(RESULT, turns=1).held == "16 dwells and 1 turn"
-    assert replace(RESULT, turns=0, positions=(0,)).held == "1 dwell"
+    assert RESULT.extent == "14 dwells and 3 turns"
+    assert replace(RESULT, turns=1).extent == "16 dwells and 1 turn"
+    assert replace(RESULT, turns=0, positions=(0,)).extent == "1 dwell"
     assert repr(RESULT).startswith(
         "GyroFit(14 dwells and 3 turns, gyro_bias_x 0.400\u00a0±\u00a00.025\u00a0°/s, "
     )

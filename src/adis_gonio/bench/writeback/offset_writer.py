@@ -466,7 +466,7 @@ class OffsetWriter:
         """
         # Two blocks: a second Ctrl-C in the first block must not prevent the restoring in the second.
         with contextlib.suppress(KeyboardInterrupt, AdisGonioError):
-            self._keep_what_is_saved(journal)
+            self._complete_saved(journal)
         with contextlib.suppress(KeyboardInterrupt, AdisGonioError):
             if journal.operation.open:
                 found = journal.operation.found
@@ -476,7 +476,7 @@ class OffsetWriter:
                 if not back.unrestored and self._has_numbers(found):
                     journal.note(WriteStep.SET_BACK, why=why)
 
-    def _keep_what_is_saved(self, journal: Logbook) -> None:
+    def _complete_saved(self, journal: Logbook) -> None:
         """Complete the journal of a stopped write if flash and registers already have the new offsets."""
         if WriteStep.SAVING not in journal.operation.steps:
             return

@@ -231,7 +231,7 @@ def show_gyro_fit(
         return
     screen = show.console(most=show.WIDTH)
     title = f"{session.title}: " if session.title else ""
-    screen.print(f"{title}gyros, {result.held}, {session.sensor}\n", style="bold")
+    screen.print(f"{title}gyros, {result.extent}, {session.sensor}\n", style="bold")
     _print_parameters(screen, result.parameters, session.facts.get("truth"))
     screen.print()
     if result.triad is not None:

@@ -235,7 +235,7 @@ class Fit:
         then the errors by the gyros that measured the links. None without such errors.
         """
         links = self.link_rows
-        found = [self._own(self.data.shared)] if self.data.shared.shape[2] else []
+        found = [self._white_separately(self.data.shared)] if self.data.shared.shape[2] else []
         if links is not None:
             own = links.modes
             # Modes of the gyros do not act on the rows of dwells, which come first.
@@ -261,9 +261,9 @@ class Fit:
         `columns` (n, axes, d) are the changes. The result (rows, d) has the rows of the dwells, then the
         rows of the links.
         """
-        return self._without_shared(self._own(columns))
+        return self._without_shared(self._white_separately(columns))
 
-    def _own(self, columns: Floats) -> Floats:
+    def _white_separately(self, columns: Floats) -> Floats:
         """Whiten d changes of the readings as `white` does, but ignore noise that several dwells share."""
         whitened = self.white_by_dwell(columns)
         flat: Floats = whitened.reshape(whitened.shape[0] * whitened.shape[1], columns.shape[2])
@@ -286,11 +286,11 @@ class Fit:
     def by_reading(self, slope: Floats) -> Floats:
         """Return the derivative (d, n, axes) of d weighted sums of the whitened rows by each reading.
 
-        The whitened rows are those of `white`. The weights are the columns of `slope` (rows, d).
+        The whitened rows are the result of `white`. The weights are the columns of `slope` (rows, d).
         """
         slope = self._without_shared(slope)
         of_dwells = len(self.data) * self.whitener.shape[1]
-        # Undo `_own`: split the rows of dwells from the rows of links, and apply the transposed whitener.
+        # Transpose `_white_separately`: split the rows of dwells from the rows of links, and whiten back.
         by_dwell = slope[:of_dwells].reshape(len(self.data), -1, slope.shape[1])
         found = np.asarray(np.einsum("nrd,nra->dna", by_dwell, self.whitener))
         links = self.link_rows
@@ -318,7 +318,7 @@ class Fit:
     @property
     def unshared_residual(self) -> Floats:
         """Residuals (rows,) scaled to unit covariance, ignoring noise that several rows share."""
-        flat = self._own(self.declared_misfit[:, :, None])[:, 0]
+        flat = self._white_separately(self.declared_misfit[:, :, None])[:, 0]
         if self.link_rows is not None:
             # Links have a misclosure of their own, in addition to the effect of the misfits.
             flat[-2 * len(self.link_rows.links) :] += self.link_rows.residual
@@ -421,7 +421,7 @@ class Fit:
         return self.residual.size - int(np.isinf(self.data.fixture).sum()) * by_angle
 
     @cached_property
-    def _half(self) -> Floats:
+    def _covariance_root(self) -> Floats:
         """Root (p + q, k) of the covariance of all parameters: root · rootᵀ is the covariance."""
         # Scale columns to unit length first: parameters have different units.
         scaled = self._with_prior(self.jacobian)
@@ -435,7 +435,7 @@ class Fit:
     @cached_property
     def covariance(self) -> Floats:
         """Covariance (p + q, p + q) of the base parameters and the values of the terms."""
-        return np.asarray(self._half @ self._half.T)
+        return np.asarray(self._covariance_root @ self._covariance_root.T)
 
     @cached_property
     def used(self) -> float:
@@ -443,7 +443,7 @@ class Fit:
 
         A parameter with an informative prior counts less than 1.
         """
-        used = float(((self.jacobian @ self._half) ** 2).sum())
+        used = float(((self.jacobian @ self._covariance_root) ** 2).sum())
         if all(term.prior_sd is None for term in self.terms):
             used = float(round(used))  # the base's prior is wide: a parameter counts fully or not at all
         return used
@@ -469,7 +469,7 @@ class Fit:
         return precision, centre
 
     @cached_property
-    def _away(self) -> Floats:
+    def _prior_distance(self) -> Floats:
         """Distance (p + q,) of each parameter from its prior mean, in standard deviations of the prior."""
         precision, centre = self._prior
         return np.asarray(precision * (self.values.parameters - centre))
@@ -480,7 +480,7 @@ class Fit:
 
         Distances are in standard deviations of the prior.
         """
-        return self.chi2 + float((self._away**2).sum())
+        return self.chi2 + float((self._prior_distance**2).sum())
 
     def _with_prior(self, rows: Floats) -> Floats:
         """Append one row for each parameter with a prior to the whitened derivatives `rows` (rows, p + q).
@@ -500,7 +500,9 @@ class Fit:
         held = self._prior[0][:count] > 0
         # A prior is one further row 1/σ with the target (centre − value)/σ.
         rows = np.concatenate([self.jacobian[:, :count], np.diag(self._prior[0][:count])[held]])
-        right = np.concatenate([left, np.repeat(-self._away[:count, None][held], left.shape[1], axis=1)])
+        right = np.concatenate(
+            [left, np.repeat(-self._prior_distance[:count, None][held], left.shape[1], axis=1)]
+        )
         size = np.linalg.norm(rows, axis=0)
         size[size == 0] = 1.0
         return np.asarray(np.linalg.lstsq(rows / size, right, rcond=1e-9)[0] / size[:, None])
@@ -560,7 +562,7 @@ class Fit:
             rows = fit._with_prior(fit.jacobian)
             held = fit._prior[0] > 0
             # Residuals of the readings, then of the priors.
-            left = np.concatenate([fit.residual.ravel(), -fit._away[held]])
+            left = np.concatenate([fit.residual.ravel(), -fit._prior_distance[held]])
             if within is not None:
                 rows = rows @ within
             size = np.linalg.norm(rows, axis=0)
@@ -574,7 +576,7 @@ class Fit:
                 step = within @ step
             # Take the largest of these step lengths that does not increase χ².
             for damping in (1.0, 0.5, 0.2, 0.05, 0.01):
-                trial = fit._tried(damping * step)
+                trial = fit._stepped(damping * step)
                 if trial is not fit and trial.loss <= fit.loss * (1 + 1e-12):
                     break
             else:
@@ -584,7 +586,7 @@ class Fit:
                 break
         return fit
 
-    def _tried(self, step: Floats) -> Fit:
+    def _stepped(self, step: Floats) -> Fit:
         """Return the fit after a step of its parameters; unchanged if the model fails at the new values."""
         try:
             with np.errstate(over="ignore", invalid="ignore"):
@@ -649,7 +651,7 @@ class Fit:
         `there` has the parameters of this fit and the dwells to predict; the rows are whitened readings of
         these dwells, and the root times its transpose is the covariance.
         """
-        return np.asarray(there.jacobian @ self._half)
+        return np.asarray(there.jacobian @ self._covariance_root)
 
     def can_predict(self, data: Readings, most: float) -> NDArray[np.bool_]:
         """Return a mask (n,) of the dwells in `data` that this fit predicts with sufficient certainty.

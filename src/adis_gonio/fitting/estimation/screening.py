@@ -259,9 +259,9 @@ def piles(samples: Sequence[Floats], lively: NDArray[np.bool_]) -> Iterator[tupl
         column = np.concatenate([rows[:, axis] for rows in samples])
         values, counts = np.unique(column, return_counts=True)
         if len(values) > _LEAST_VALUES:
-            for extreme, beside in ((-1, -2), (0, 1)):
-                if counts[extreme] >= max(_PILE, _STEEP * counts[beside]):
-                    yield axis, float(values[extreme]), int(counts[beside])
+            for extreme, neighbour in ((-1, -2), (0, 1)):
+                if counts[extreme] >= max(_PILE, _STEEP * counts[neighbour]):
+                    yield axis, float(values[extreme]), int(counts[neighbour])
 
 
 def _limit(dwells: Sequence[Dwell], axis: int, value: float, inside: int) -> Limit:

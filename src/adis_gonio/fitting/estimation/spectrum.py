@@ -130,9 +130,9 @@ class _Foot:
     """Fitted shape of the noise density in a band from frequency zero, relative to its mean over the band.
 
     `band` is the end of the band in cycles per sample. `log_zero` is the natural logarithm of the density
-    at frequency zero and `log_zero_variance` its variance. `coefficients` are those of the polynomial that
+    at frequency zero and `log_zero_variance` its variance. `coefficients` belong to the polynomial that
     was fitted to the logarithm of the density, `total_weight` is the number of spectral values in this fit.
-    `beside_flicker` is True if 1/f noise was fitted in addition.
+    `with_flicker` is True if 1/f noise was fitted in addition.
     """
 
     band: float
@@ -140,11 +140,11 @@ class _Foot:
     log_zero_variance: float
     total_weight: float
     coefficients: Floats
-    beside_flicker: bool = False
+    with_flicker: bool = False
 
     @property
     def is_white(self) -> bool:
-        return self.band == 0.5 and len(self.coefficients) == 1 and not self.beside_flicker
+        return self.band == 0.5 and len(self.coefficients) == 1 and not self.with_flicker
 
     @property
     def corner(self) -> float:
@@ -172,8 +172,8 @@ def noise_of_means(samples: Sequence[Floats], scale: Floats | float = 1.0) -> Me
         Factor by which the samples are multiplied first.
     """
     groups = _periodograms(samples, scale)
-    beside_white, all_flicker = _flicker_at_foot(groups)
-    foot = _choose_foot(groups, with_flicker=beside_white)
+    has_flicker, all_flicker = _flicker_at_foot(groups)
+    foot = _choose_foot(groups, has_flicker=has_flicker)
     d, axes = len(samples), samples[0].shape[1]
     level = np.zeros((d, axes, axes))
     weight = np.zeros(d)
@@ -320,9 +320,11 @@ def _flicker_at_foot(groups: list[_Ordinates]) -> tuple[bool, bool]:
     x = np.arange(1.0, _SLOPE + 1) / _SLOPE
     one = np.ones(_SLOPE)
     filtered = _whittle(np.stack([one, x**2, x**4], axis=1), total, mean)[2]
-    beside_white = _whittle(one[:, None], total, mean, 1 / x)[2]
+    white_and_flicker = _whittle(one[:, None], total, mean, 1 / x)[2]
     power, _, alone = _whittle(np.stack([one, np.log(x)], axis=1), total, mean)
-    return beside_white < filtered - _CLEARLY, bool(-1.5 < power[1] < -0.6 and alone < filtered - _CLEARLY)
+    return white_and_flicker < filtered - _CLEARLY, bool(
+        -1.5 < power[1] < -0.6 and alone < filtered - _CLEARLY
+    )
 
 
 def _lowest(groups: list[_Ordinates]) -> tuple[Floats, Floats]:
@@ -341,11 +343,11 @@ def _lowest(groups: list[_Ordinates]) -> tuple[Floats, Floats]:
     return total, np.maximum(moment / np.maximum(total, 1.0), 1e-12)
 
 
-def _choose_foot(groups: list[_Ordinates], *, with_flicker: bool) -> _Foot:
+def _choose_foot(groups: list[_Ordinates], *, has_flicker: bool) -> _Foot:
     """Fit the noise density near frequency zero in bands of decreasing width; return the most certain fit.
 
     This is the fit with the smallest variance of the density at frequency zero; of several the one in the
-    widest band. `groups` has the spectra of the dwells; `with_flicker` is True to fit 1/f noise, too.
+    widest band. `groups` has the spectra of the dwells; `has_flicker` is True to fit 1/f noise, too.
     """
     best: _Foot | None = None
     band, least = 0.5, math.inf
@@ -354,8 +356,8 @@ def _choose_foot(groups: list[_Ordinates], *, with_flicker: bool) -> _Foot:
         # 1/total is the variance of a flat fit, the smallest possible one in this band.
         if best is not None and (total < _LEAST_WEIGHT or 1 / total > least):
             break
-        for beside_flicker in (False, True)[: 1 + with_flicker]:
-            foot = _fit_foot(band, cells, beside_flicker=beside_flicker)
+        for with_flicker in (False, True)[: 1 + has_flicker]:
+            foot = _fit_foot(band, cells, with_flicker=with_flicker)
             if foot is not None and foot.log_zero_variance < least:
                 # Variances that differ by rounding errors count as equal.
                 best, least = foot, foot.log_zero_variance * (1 - 1e-9)
@@ -368,10 +370,10 @@ def _choose_foot(groups: list[_Ordinates], *, with_flicker: bool) -> _Foot:
     return best
 
 
-def _fit_foot(band: float, cells: _Cells, *, beside_flicker: bool) -> _Foot | None:
+def _fit_foot(band: float, cells: _Cells, *, with_flicker: bool) -> _Foot | None:
     """Fit the log noise density in a band by a polynomial of the lowest sufficient order; None without one.
 
-    An order is sufficient if one or two further terms do not improve the fit clearly. With `beside_flicker`
+    An order is sufficient if one or two further terms do not improve the fit clearly. With `with_flicker`
     1/f noise is fitted in addition, which has to explain the density better than one or two further terms.
     `cells` are the averages in the `band` (`_cells`).
     """
@@ -381,23 +383,21 @@ def _fit_foot(band: float, cells: _Cells, *, beside_flicker: bool) -> _Foot | No
     def fitted(order: int, with_flicker: bool) -> tuple[Floats, Floats, float]:
         return _whittle(_basis(x, order), weight, mean, inverse_x if with_flicker else None)
 
-    for order in range(min(3, len(x) - 2 * beside_flicker)):
-        beta, covariance, deviance = fitted(order, beside_flicker)
+    for order in range(min(3, len(x) - 2 * with_flicker)):
+        beta, covariance, deviance = fitted(order, with_flicker)
         better = 0.0
-        if beside_flicker:
+        if with_flicker:
             better = min(fitted(order + k, False)[2] for k in (1, 2)) - deviance
             if better < _CLEARLY:
                 continue
         # Likelihood-ratio test against one and two further terms.
-        richer = (
-            fitted(order + k, beside_flicker)[2] for k in (1, 2) if order + k < len(x) - beside_flicker
-        )
+        richer = (fitted(order + k, with_flicker)[2] for k in (1, 2) if order + k < len(x) - with_flicker)
         allowed = (max(gain, _NOT_QUITE * better) for gain in _GAINS)
         if not any(deviance - other > most for other, most in zip(richer, allowed, strict=False)):
             # Value and variance of log density, extrapolated to frequency zero.
             at_zero = _basis(np.zeros(1), order)[0]
             variance = float(at_zero @ covariance @ at_zero)
-            return _Foot(band, float(at_zero @ beta), variance, float(weight.sum()), beta, beside_flicker)
+            return _Foot(band, float(at_zero @ beta), variance, float(weight.sum()), beta, with_flicker)
     return None
 
 

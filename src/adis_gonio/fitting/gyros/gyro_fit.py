@@ -200,10 +200,10 @@ class GyroFit(FittedParameters, kw_only=True):
 
     def __repr__(self) -> str:
         shown = ", ".join(f"{name} {self[name]}" for name in self.names[:3])
-        return f"GyroFit({self.held}, {shown})"
+        return f"GyroFit({self.extent}, {shown})"
 
     @property
-    def held(self) -> str:
+    def extent(self) -> str:
         """Text with the numbers of fitted dwells and turns, such as `14 dwells and 3 turns`."""
         dwells = counted(len(self.positions) - self.turns, "dwell")
         return f"{dwells} and {counted(self.turns, 'turn')}" if self.turns else dwells

@@ -359,7 +359,7 @@ def _findings(position: Sequence[int], search: FaultSearch) -> list[PositionFind
             continue
         chosen = patterns[number]
         names = _set_of_names(position, patterns, weighed)
-        account = _Account(position, rows, (*rest, chosen), chosen, weighed.scatter)
+        account = _FaultErrors(position, rows, (*rest, chosen), chosen, weighed.scatter)
         for k in chosen.dwells:
             one = account.finding(k, name, probability, names)
             found[one.position, one.finding] = one
@@ -386,7 +386,7 @@ def _set_of_names(
 
 
 @dataclass(frozen=True)
-class _Account:
+class _FaultErrors:
     """Computes the error of each position that one fault (`pattern`) affects, given all accepted faults.
 
     `rows` are the linear model and `scatter` the standard deviations of the ordinary errors.
@@ -400,6 +400,7 @@ class _Account:
 
     @cached_property
     def known(self) -> Pattern:
+        """All accepted faults as one pattern."""
         return combined(self.rows, self.accepted)
 
     @cached_property

@@ -168,7 +168,7 @@ class FaultyBus(ForwardingBus):
     def _exchange(self, frames: Words) -> Words:
         if self.faults.happens("busy"):
             raise ProtocolError(f"{self.url}: the bridge is busy and has sent nothing (a fault by seed)")
-        drawn = self._drawn(len(frames))
+        drawn = self._draw_faults(len(frames))
         replies = np.full(len(frames), IDLE, np.uint16)
         for part in np.split(np.arange(len(frames)), np.flatnonzero(np.diff(drawn[0])) + 1):
             if drawn[0, part[0]]:
@@ -177,9 +177,9 @@ class FaultyBus(ForwardingBus):
                 replies[part] = self.inner.exchange_array(frames[part])
         if self.faults.happens("hang"):
             raise BusTimeoutError(f"{self.url}: the bridge does not answer (a fault by seed)")
-        return self._spoilt(replies, drawn)
+        return self._corrupted(replies, drawn)
 
-    def _drawn(self, count: int) -> Words:
+    def _draw_faults(self, count: int) -> Words:
         """Draw the faults of some frames, one frame after another, whatever the size of a batch.
 
         Returns
@@ -194,8 +194,8 @@ class FaultyBus(ForwardingBus):
             rows.append((lost, repeated, faults.happens("flip") << faults.dice.randrange(FRAME_BITS)))
         return np.array(rows, np.uint16).reshape(-1, 3).T
 
-    def _spoilt(self, words: Words, drawn: Words) -> Words:
-        """Return a copy of the replies (n,) with those faults that `_drawn` (3, n) has."""
+    def _corrupted(self, words: Words, drawn: Words) -> Words:
+        """Return a copy of the replies (n,) with those faults that `_draw_faults` (3, n) has."""
         before = np.append(np.uint16(self._last), words[:-1])
         self._last = int(words[-1])
         return np.asarray(np.where(drawn[1], before, words) ^ drawn[2])
@@ -211,8 +211,8 @@ class _FaultyFrames(FrameStream):
     def __next__(self) -> FrameBlock:
         block = next(self._inner)
         with self._bus._lock:
-            drawn = self._bus._drawn(block.words.size)
-            words = self._bus._spoilt(block.words.ravel(), drawn).reshape(block.words.shape)
+            drawn = self._bus._draw_faults(block.words.size)
+            words = self._bus._corrupted(block.words.ravel(), drawn).reshape(block.words.shape)
         lost = drawn[0].reshape(words.shape).any(axis=1)
         return FrameBlock(words[~lost], block.time_s[~lost], block.lost + int(lost.sum()))
 

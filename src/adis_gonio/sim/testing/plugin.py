@@ -42,7 +42,7 @@ def simulated_sensor(request: pytest.FixtureRequest) -> Iterator[SimulatedSensor
     """
     from adis_gonio.sim.testing.doubles import open_simulated
 
-    with _made(open_simulated, request, ("url", "check", "faults")) as sensor:
+    with _open_marked(open_simulated, request, ("url", "check", "faults")) as sensor:
         yield sensor
 
 
@@ -51,11 +51,11 @@ def simulated_board(request: pytest.FixtureRequest) -> Iterator[SimulatedBoard]:
     """Fixture: a simulated board with the project's firmware, in real time, at its serial port `path`."""
     from adis_gonio.sim.testing.doubles import open_board
 
-    with _made(open_board, request, ("url", "faults", "boot_s")) as board:
+    with _open_marked(open_board, request, ("url", "faults", "boot_s")) as board:
         yield board
 
 
-def _made(make: Any, request: pytest.FixtureRequest, names: tuple[str, ...]) -> Any:
+def _open_marked(make: Any, request: pytest.FixtureRequest, names: tuple[str, ...]) -> Any:
     """Call `make` with options from the marks of a test, and return the made sensor or board.
 
     Only options that `names` lists are passed. A wrong option fails the test with one line.

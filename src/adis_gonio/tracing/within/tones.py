@@ -429,7 +429,7 @@ def density_of(samples: Samples) -> Density | None:
     ordinate = np.arange(len(frequency)) / each
     width = np.array(_WIDTHS, dtype=float)[np.digitize(ordinate, 3 * np.array(_WIDTHS[1:]))]
     pooled = (power / level[:, None, :]).mean(axis=0)
-    beside = _peak_remover(pooled, searched, each)
+    without_peak = _peak_remover(pooled, searched, each)
     information = len(dwells) / each / TAPER_LOSS
     tests = samples.axes * (searched.stop - searched.start) / each
     # Only filters shorter than the longest dwell.
@@ -438,7 +438,7 @@ def density_of(samples: Samples) -> Density | None:
     shape = np.ones((len(frequency), samples.axes))
     lined = np.zeros(samples.axes, dtype=bool)
     for axis in range(samples.axes):
-        own, usual = pooled[searched, axis], beside(pooled, axis)[searched]
+        own, usual = pooled[searched, axis], without_peak(pooled, axis)[searched]
         with_peak, without = (_shape(p, frequency[searched], responses) for p in (own, usual))
         gain = information * _gain(own, with_peak, without, own != usual)
         lined[axis] = corrected(math.exp(-max(gain, 0.0)), tests) < FOUND_WITHIN
@@ -453,7 +453,7 @@ def density_of(samples: Samples) -> Density | None:
     base = np.stack(
         [
             _smooth(
-                (beside(pooled, axis) if lined[axis] else pooled[:, axis]) / shape[:, axis],
+                (without_peak(pooled, axis) if lined[axis] else pooled[:, axis]) / shape[:, axis],
                 searched,
                 width,
                 each,
