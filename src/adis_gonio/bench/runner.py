@@ -275,6 +275,10 @@ class SessionRunner(Operator):
         yield finished
 
     def _prepare(self) -> Iterator[Event]:
+        """Configure the sensor, archive the begin of a run, and yield the events before the first position.
+
+        If the session is resumed and its noise is known, a simulated sensor is restored, too.
+        """
         bench, archive, ledger = self.bench, self._archive, self._ledger
         began_s = bench.now_s
         yield Started(

@@ -813,6 +813,11 @@ class Calibration(Coefficients, eq=False, kw_only=True):
         supply_v: ArrayLike | None,
         reading_u: float | Sequence[float] | None,
     ) -> AngleReading:
+        """Return an angle with its uncertainty by the calibration, the temperature and the reading.
+
+        `shown` is the function that computes the angle in rad from parameters, readings and conditions.
+        `reading_u` is the standard uncertainty of the reading, one number or one for each axis.
+        """
         readings, single = checked_readings(accel, self)
         conditions = self._conditions(len(readings), temperature_c, supply_v)
         values = self.values

@@ -713,6 +713,7 @@ def fit_free_turn(session: Session) -> FreeTurnResult:
 
 
 def _fitted(session: Session) -> FreeTurnResult:
+    """Check the recording of a free turn and fit it; error messages do not name the session."""
     series = series_of(session)
     require_recording(series)
     windows = Windows(series)

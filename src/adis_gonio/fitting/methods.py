@@ -104,6 +104,11 @@ def fit_ml(readings: Readings) -> FitResult:
 def _warnings(
     determination: Determination, held: list[str], lost: list[str], reported: list[Output]
 ) -> list[str]:
+    """Return warnings on the parameters that the positions do not determine.
+
+    `held` are the names of parameters that were taken as zero, `lost` the names of quantities that are
+    missing from the result, and `reported` its quantities.
+    """
     warnings = []
     names = determination.names
     for name, k in zip(held, determination.held, strict=True):

@@ -398,6 +398,7 @@ def _flicker(data: Readings, response: Floats) -> Source:
 
 
 def _fixture(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Floats) -> Source:
+    """Return the source of uncertainty for the declared angles: fixture, and certificate of the stage."""
     sigma = np.where(np.isfinite(fit.data.fixture), fit.data.fixture, 0.0)
     if data.planar:
         moves = np.einsum("pna,na,n->pn", response, fit.tangent[:, :, 0], sigma)

@@ -296,6 +296,11 @@ def drifted_curve(history: History, drifts: Mapping[str, Drift], days: float) ->
 
 
 def _control_chart(history: History, limits: Rules) -> Rule:
+    """Return the last day on which the error by drift conforms to the tolerance, with the reason.
+
+    The day is None if no parameter has a known drift. It is the day of the last session if the error does
+    not conform even then.
+    """
     method = "control chart"
     drifts = {n: t.drift for n, t in history.tracks.items() if n in PARAMETERS and t.drift is not None}
     there = counted(len(history.sessions), "session")

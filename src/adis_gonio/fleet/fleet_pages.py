@@ -161,6 +161,7 @@ def _effects(summary: Summary) -> Section:
 
 
 def _outlying(summary: Summary) -> Section:
+    """Return the section on units, stages and operators that differ from the rest of the fleet."""
     rows = []
     for one in summary.outlying:
         values = [with_unit(format_number(value), one.unit) for value in (one.value, one.others)]

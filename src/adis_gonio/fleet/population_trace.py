@@ -293,6 +293,10 @@ def _label(kind: Kind) -> str:
 
 
 def _common(population: Population, others: Sequence[ChosenCause], step: SelectionStep) -> Common:
+    """Return the result on one cause: its names, its share of the sessions, its amplitudes, its sessions.
+
+    `others` are the other causes of the population, `step` is the step that chose this cause.
+    """
     part, units = step.part, population.units
     kind = part.candidate.kind
     ranked = sorted(step.posterior.items(), key=lambda entry: -entry[1])

@@ -296,6 +296,7 @@ class AngleMeter:
         return self._reading(blocks, self._first_s)
 
     def _reading(self, blocks: list[Block], first_s: float) -> LiveAngle:
+        """Return the angle by the samples of `blocks`, with u and notes; its time counts from `first_s`."""
         accel = np.concatenate([block.accel_mg for block in blocks])
         # Keep a window of the newest samples, or all of this span.
         self._kept = np.concatenate([self._kept, accel])[-max(self._window, len(accel)) :]

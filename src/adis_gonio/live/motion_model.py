@@ -272,6 +272,11 @@ class Stepper:
         return found
 
     def _step(self, rows: Floats) -> Increment:
+        """Reduce the samples of one time step to an increment.
+
+        `rows` (n, 8) has the time, three accelerations, three rates and the temperature of each sample. The
+        turn of an increment begins at the middle of the step before; the first increment has no turn.
+        """
         time_s, accel, rates = rows[:, 0], rows[:, 1:4], rows[:, 4:7]
         turn = self._turns(time_s, rates)
         middle_s, mean_turn = float(time_s.mean()), turn.mean(axis=0)
@@ -823,6 +828,10 @@ class AngleSmoother:
         return StateEstimate(state.mean, covariance)
 
     def _turned(self, present: Increment, before: Increment | None, after: Increment) -> Turned:
+        """Correct a time step by the calibrations, and add the change of its rate between its neighbours.
+
+        `before` is None for the first step. At rest the change of the rate counts as zero.
+        """
         lost = present.unseen_deg2 > (OPEN_DEG / 2) ** 2
         warm = present.temperature_c
         accel = present.accel_mg

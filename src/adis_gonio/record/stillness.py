@@ -229,6 +229,10 @@ class StillnessWatch:
         return [self._look(end, window) for end, window in self._windows.feed(accel_mg)]
 
     def _look(self, end: int, window: Floats) -> Look:
+        """Judge if an axis is stuck, or if the sensor moves or is still, by a window (length, 3) in mg.
+
+        `end` is the number of samples up to the end of the window.
+        """
         mean, spread = window.mean(axis=0), window.std(axis=0, ddof=1)
         flat, upper = spread < self._limits.lower, self._limits.upper
         # One flat window may be chance; a stuck axis stays flat.

@@ -428,6 +428,11 @@ class SimulatedChip:
     def _answer(
         self, word: int, bits: int, clock_hz: float, cs_hold_s: float, stall: float, period: float
     ) -> int:
+        """Execute a frame if state and timing allow it; return the word that the chip shifts out.
+
+        `bits` is the number of clocks; `stall` and `period` are the times in s since the end and since the
+        start of the frame before.
+        """
         limits = chip_memory.serial_limits(self.memory["SMPL_PRD"])
         refused = self._refusal(bits, clock_hz, stall, limits)
         if refused is not None:

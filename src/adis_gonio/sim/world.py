@@ -389,6 +389,11 @@ class World:
     def _conditions(
         self, time_s: Floats, motion: Motion, dies_c: Floats, supply: Floats, vibration: Floats
     ) -> Conditions | None:
+        """Return the conditions on which added effects depend, at times (n,) in s; None without effects.
+
+        `dies_c` (n, 3) are the temperatures of the gyros' dies in °C, `supply` (n,) is the supply in V, and
+        `vibration` (n,) the rms vibration of the table in mg.
+        """
         if not self.effects:
             return None
         turned_s, directions = self.stage.course()

@@ -217,6 +217,7 @@ class JointRun(TraceRun):
         )
 
     def _shares(self) -> tuple[SessionShare, ...]:
+        """Return for each session its evidence on each cause, its own causes, and its held-out errors."""
         data = self.measured
         session = _session(data)
         # Log likelihood in nats that each cause of the model adds in each session.

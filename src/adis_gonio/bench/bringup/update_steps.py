@@ -291,6 +291,10 @@ def _scan_at_edges(bench: BringupBench, period_s: float) -> _Edges:
 def _judge_edges(
     bench: BringupBench, period_s: float, first: _Edges, second: _Edges, found: StepResult
 ) -> Ending:
+    """Judge data-ready by scans that start at the `first` and at the `second` edge of its pulse.
+
+    `period_s` is the expected period of the updates. The figures are added to `found`.
+    """
     for name, edges in (("first", first), ("second", second)):
         found.measure(f"{name} edge: rate of scans", edges.rate_hz, "Hz", expected=1 / period_s)
         found.measure(f"{name} edge: scans that follow an update", edges.locked, expected=1.0)

@@ -698,6 +698,7 @@ class Adis16354(Closing):
         return found
 
     def _check_variant(self, found: Configuration) -> None:
+        """Raise `VariantError` if the length of the reading at rest is not 1 g of the declared variant."""
         self.refuse_stimulus(self._msc_ctrl)
         # Polled: a line that is wrong must not keep the sensor from being opened.
         scans = min(CHECK_SCANS, max(3, int(CHECK_S * found.sample_rate_hz)))

@@ -714,6 +714,10 @@ def _unit_of_counts(mean: Floats, gravity_mg: float) -> Unit:
 def _conditions(
     dwells: list[Dwell], angle: Floats, mean: Floats, unit: Unit, scale: float, axes: int
 ) -> Conditions:
+    """Return the conditions of n dwells, such as time, temperature, supply, and histories between dwells.
+
+    `angle` (n,) are the declared angles in rad, `mean` the mean readings; `scale` converts samples to mg.
+    """
     start = float(dwells[0].time_s[0])
     declared = angle if np.isfinite(angle).all() else None
     approach = np.array([float(dwell.approach) for dwell in dwells])

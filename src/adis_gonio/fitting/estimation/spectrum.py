@@ -211,6 +211,10 @@ def noise_of_means(samples: Sequence[Floats], scale: Floats | float = 1.0) -> Me
 
 
 def _periodograms(samples: Sequence[Floats], scale: Floats | float) -> list[_Ordinates]:
+    """Return the spectra of dwells in frequency bins, one entry for each length of a dwell.
+
+    `samples` are the samples (n, axes) of each dwell, `scale` is a factor by which they are multiplied.
+    """
     lengths = np.array([len(rows) for rows in samples])
     axes = samples[0].shape[1]
     groups = []

@@ -326,6 +326,7 @@ def _surroundings(part: Dwell | Turn) -> Row:
 
 
 def _intervals_of_dwells(session: Session, rests: GyroDwells) -> list[Row]:
+    """Return a row for each dwell, which has a mean rate with covariance and a force, but no rotation."""
     steps = steps_of(rests.rows)
     if session.gyro_unit == "dps":
         configuration = session.facts.get("configuration") or {}

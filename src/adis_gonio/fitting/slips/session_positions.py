@@ -340,6 +340,10 @@ def _posterior(rows: Rows, accepted: Sequence[Pattern], scatter: ScatterPoint) -
 
 
 def _findings(position: Sequence[int], search: FaultSearch) -> list[PositionFinding]:
+    """Return the findings on accepted faults for which a declared angle or a reading is to blame.
+
+    The probability of each fault is computed as if it were the last to be found.
+    """
     rows, grid, accepted, _ = search
     found: dict[tuple[int, Name], PositionFinding] = {}
     for pattern in accepted:

@@ -182,6 +182,11 @@ class SimulatedFirmware:
             self._request(raw)
 
     def _request(self, raw: bytes) -> None:
+        """Execute, repeat, refuse or discard a request, by its type and its id.
+
+        A hello with a new nonce opens a session; without a session all other requests are refused. If the
+        last request arrives again, its reply is sent again; an older request is discarded.
+        """
         kind, request_id = struct.unpack_from("<BH", raw)
         check = struct.unpack("<I", raw[-4:])[0]
         body = raw[3:-4]
