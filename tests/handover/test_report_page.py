@@ -431,6 +431,7 @@ def test_page_one_is_a_certificate_that_a_laboratory_can_sign(curved):
     assert {"date", "name, signature"} <= set(facts)
     assert first.count("name, signature") == 1
     assert first.count("<svg") == 2
+    assert [first.count(f">{angle}</text>") for angle in (0, 90, 180, 270, 360)] == [2] * 5
     answer = answer_with_trace(fits[0], result)
     statement = state_conformity(Tolerance(0.05), answer.error_curves())
     assert [line for line in statement.lines if html.escape(line[1:]) not in first] == []

@@ -149,11 +149,14 @@ def _error_figures(
         series = [Series(angle, error, f"{state} calibration", band, role, "line")]
         if tolerance is not None:
             for k, limit in enumerate((tolerance.limit_deg, -tolerance.limit_deg)):
-                edges = np.full(2, limit)
-                series.append(Series([0, 360], edges, "" if k else "tolerance", None, "model", "line"))
+                series.append(
+                    Series([0, 360], [limit] * 2, "" if k else "tolerance", None, "model", "line")
+                )
         caption = f"Error of the angle {state} calibration; the band is ± U."
         axes = ("angle / °", "error of the angle / °")
-        figures.append(Figure(plot(series, *axes, title=caption, x_range=(0, 360), zero=True), caption))
+        ticks = {float(k): str(k) for k in range(0, 361, 90)}
+        drawn = plot(series, *axes, title=caption, x_range=(0, 360), x_ticks=ticks, zero=True)
+        figures.append(Figure(drawn, caption))
     return figures
 
 
