@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from adis_gonio.device.bus import BusUrl, SpiBus, cp2130, mcp2210, serial, spidev
@@ -192,3 +193,18 @@ class SpidevBench:
     def set_faults(self, faults: Faults) -> None:
         """Let calls of the kernel fail from now on."""
         self.kernel.faults = faults
+
+
+class StoppedHost:
+    """Clock of a host that stops for 5 s at its look number `at` at the clock; its devices work on."""
+
+    def __init__(self, clock: VirtualClock, at: int, work: Callable[[], object] = int) -> None:
+        self.sleep_s, self.looks = clock.sleep_s, 0
+        self._clock, self._at, self._work = clock, at, work
+
+    def now_s(self) -> float:
+        self.looks += 1
+        for _ in range(50 if self.looks == self._at else 0):
+            self._clock.sleep_s(0.1)
+            self._work()
+        return self._clock.now_s()

@@ -4,15 +4,18 @@ The contract of all buses is proved in each transport's own file, with what only
 """
 
 import contextlib
+import itertools
 
+import numpy as np
 import pytest
 
 from adis_gonio.base.errors import BusError, BusTimeoutError, CannotOpenError, UsageError
 from adis_gonio.device.bus import Capability, SpiTiming
+from adis_gonio.sim.testing.bus_contract import DATA_READY_ON
 from adis_gonio.sim.testing.faults import Faults
 
 pytest.importorskip("usb", reason="pyusb is not installed")
-from fakes.benches import Cp2130Bench, Mcp2210Bench, SerialBench, SpidevBench
+from fakes.benches import Cp2130Bench, Mcp2210Bench, SerialBench, SpidevBench, StoppedHost
 
 FAST = SpiTiming(1e6, 9.0, 40.0)
 USB = {"cp2130": Cp2130Bench, "mcp2210": Mcp2210Bench}
@@ -237,3 +240,29 @@ def test_a_silent_device_fails_within_its_time_out(bridge, most_s):
     with pytest.raises(BusTimeoutError, match=r"0\.1 s"):
         bus.exchange([0] * 100)
     assert bench.clock.now_s() - before < most_s
+
+
+@pytest.mark.parametrize("bridge", BENCHES)
+def test_a_host_that_stops_at_any_time_still_gets_the_answers_that_came_meanwhile(bridge):
+    for at in itertools.count(1):
+        bench = BENCHES[bridge]()
+        bench.clock = StoppedHost(bench.clock, at, bench.port._work if bridge == "serial" else int)
+        with bench.open() as bus:
+            assert bus.exchange([0x3600, 0x3800, 0])[1:] == [0x0001, 0x0402], at
+        if bench.clock.looks < at:
+            break
+    assert at > 9
+
+
+def test_a_host_that_stops_at_any_time_of_a_slow_stream_does_not_take_the_part_for_silent():
+    for at in itertools.count(1):
+        bench = SerialBench(watched=False)
+        with bench.open() as bus:
+            bus.exchange([DATA_READY_ON, 0xB6FF])  # a sample in 2.42 s
+            clock = StoppedHost(bench.clock, at, bench.port._work)
+            bus._clock = bus._link._clock = clock
+            with bus.stream([0x0400], block_scans=1) as stream:
+                steps_s = np.diff([next(stream).time_s[0] for _ in range(4)])
+            assert steps_s == pytest.approx(2.42, rel=0.03), at
+        if clock.looks < at:
+            break

@@ -318,11 +318,12 @@ class Mcp2210Bus(host.UsbBus):
         data = b""
         deadline = self._clock.now_s() + self._options.timeout_s
         while True:
+            late = self._clock.now_s() > deadline  # a busy host may read the next answer much later
             engine, received = progress(self._ask(Command.TRANSFER))
             data += received
             if engine is Engine.FINISHED:
                 break
-            if self._clock.now_s() > deadline:
+            if late:
                 raise BusTimeoutError(
                     f"{self.url}: the SPI engine does not finish a frame within"
                     f" {self._options.timeout_s:g} s"
@@ -415,8 +416,8 @@ class Mcp2210Bus(host.UsbBus):
         self._write(report)
         deadline = self._clock.now_s() + self._options.timeout_s
         for _ in range(_MOST_LATE):
-            left = deadline - self._clock.now_s()
-            answer = self._read(max(1, round(left * 1000))) if left > 0 else b""
+            # At least 1 ms, because an answer may have come while the host was too busy to read it.
+            answer = self._read(max(1, round(1000 * (deadline - self._clock.now_s()))))
             if not answer:
                 raise BusTimeoutError(f"{self.url}: no answer within {self._options.timeout_s:g} s")
             if is_mine(answer):

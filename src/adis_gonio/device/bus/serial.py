@@ -32,7 +32,7 @@ import math
 import random
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -243,11 +243,22 @@ class SerialLink:
                 self._replies.append(packet)
         return True
 
+    def pumps(self, wait_s: float) -> Iterator[bool]:
+        """Receive packets for `wait_s` seconds; yield before the first reception and after each one.
+
+        The last reception begins after this time, for bytes that came while the host was too busy to read
+        them. The yielded values are those of `pump`, and first False.
+        """
+        end_s, left = self._clock.now_s() + wait_s, math.inf
+        yield False
+        while left > 0:
+            left = end_s - self._clock.now_s()
+            yield self.pump(max(left, 0.0))
+
     def _listen(self, wait_s: float) -> None:
         """Receive packets for `wait_s` seconds without sending."""
-        end_s = self._clock.now_s() + wait_s
-        while (left := end_s - self._clock.now_s()) > 0:
-            self.pump(left)
+        for _ in self.pumps(wait_s):
+            pass
 
     # -- packets ----------------------------------------------------------------------------------------
 
@@ -261,8 +272,7 @@ class SerialLink:
         `reply` is the class of the expected reply. `nonce` is the number that the reply to a hello must
         repeat; None for other requests.
         """
-        end_s = self._clock.now_s() + wait_s
-        while True:
+        for _ in self.pumps(wait_s):
             while self._replies:
                 answer = self._judge(self._replies.popleft(), reply)
                 if isinstance(answer, wire.HelloReply) and answer.nonce != nonce:
@@ -270,10 +280,7 @@ class SerialLink:
                 if answer is not None:
                     return answer
                 self.late += 1
-            left = end_s - self._clock.now_s()
-            if left <= 0:
-                return None
-            self.pump(left)
+        return None
 
     def _judge(self, packet: Packet, reply: type[B]) -> B | wire.Error | None:
         """Decode a packet as the reply to the last request; None if it is invalid or not that reply."""
@@ -480,17 +487,18 @@ class SerialStream(FrameStream):
             found = owner.next_scans(0.5)
             if found is not None:
                 return found
+            asked_s = owner.now_s()  # the reply may wait for a busy host
             now_edges = owner.count_edges()
             first = now_edges if first is None else first
             unheard = (now_edges - first) & 0xFFFF_FFFF
-            if unheard > _PACKETS_MISSED * self.packet_scans and owner.now_s() - begin_s > SILENCE_S:
+            if unheard > _PACKETS_MISSED * self.packet_scans and asked_s - begin_s > SILENCE_S:
                 raise BusTimeoutError(
                     f"{owner.url}: {unheard} data-ready edges, but no packet of scans came through whole in"
-                    f" {owner.now_s() - begin_s:.1f} s: check the cable and the baud rate"
+                    f" {asked_s - begin_s:.1f} s: check the cable and the baud rate"
                 )
             if now_edges != edges:
                 edges, since_s = now_edges, owner.now_s()
-            elif owner.now_s() - since_s > SILENCE_S:
+            elif asked_s - since_s > SILENCE_S:
                 raise BusTimeoutError(
                     f"{owner.url}: no data-ready edge in {SILENCE_S:g} s: enable the line in MSC_CTRL[2],"
                     " and check the wire from the chip's DIO1 to the board"
@@ -664,15 +672,12 @@ class SerialBus(HostBus):
         """
         with self._lock:
             self._require_open()
-            scans = self._link.scans
-            end_s = self.now_s() + wait_s
-            while not scans:
-                left = end_s - self.now_s()
-                if left <= 0:
-                    return None
-                if self._link.pump(left) and not scans:
+            for more in self._link.pumps(wait_s):
+                if self._link.scans:
+                    return self._link.scans.popleft()
+                if more:
                     self.sleep_s(_GATHER_S)
-            return scans.popleft()
+            return None
 
     def count_edges(self) -> int:
         """Return the number of data-ready edges that the firmware has counted since power-on.
@@ -781,7 +786,7 @@ class SerialPort:
         try:
             while True:
                 waiting = self._port.in_waiting
-                data: bytes = self._port.read(waiting or 1)
+                data: bytes = self._port.read(waiting or int(wait_s > 0))
                 if data or time.monotonic() >= end_s:
                     return data if self._whole or not data else data + self._rest()
         except (OSError, TypeError, AttributeError) as error:
