@@ -15,7 +15,7 @@ from adis_gonio.sim.chip import State
 from adis_gonio.sim.testing.doubles import SimulatedBoard
 from adis_gonio.sim.testing.firmware import SimulatedFirmware
 from adis_gonio.sim.testing.pins import ChipPins, WorkClock
-from fakes.benches import open_bridge
+from fakes.benches import StoppedHost, open_bridge
 
 SEED = 4
 BRIDGES = ("mcp2210", "cp2130", "spidev", "serial")
@@ -182,3 +182,19 @@ def test_a_stream_over_a_real_tty_loses_nothing():
     times = np.concatenate([block.time_s for block in blocks])
     assert sum(block.lost for block in blocks) == 0
     assert np.diff(times) == pytest.approx(1 / 163.84, rel=0.05)
+
+
+@pytest.mark.parametrize("bridge", ["cp2130:?event_counter=1", "mcp2210:?event_counter=1", "spidev:"])
+def test_a_host_that_stops_at_any_time_of_a_polled_stream_counts_each_update_once(bridge):
+    kind, _, options = bridge.partition(":")
+    for at in range(1, 40):
+        bus, _ = open_bridge(kind, options)
+        with Adis16354(bus) as sensor:
+            sensor.write("SMPL_PRD", 8)
+            bus._clock = StoppedHost(bus._clock, at)
+            with sensor.stream(block_scans=8) as stream:
+                blocks = [next(stream) for _ in range(12)]
+            times = np.concatenate([block.time_s for block in blocks])
+            updates = len(times) + sum(block.lost for block in blocks)
+            period_s = sensor.configuration().sample_period_s
+        assert updates == pytest.approx(1 + np.ptp(times) / period_s, abs=1.5), at

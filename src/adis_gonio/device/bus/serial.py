@@ -275,9 +275,8 @@ class SerialLink:
         for _ in self.pumps(wait_s):
             while self._replies:
                 answer = self._judge(self._replies.popleft(), reply)
-                if isinstance(answer, wire.HelloReply) and answer.nonce != nonce:
-                    answer = None
-                if answer is not None:
+                foreign = isinstance(answer, wire.HelloReply) and answer.nonce != nonce
+                if answer is not None and not foreign:
                     return answer
                 self.late += 1
         return None
@@ -460,11 +459,10 @@ class SerialStream(FrameStream):
         except ProtocolError:
             return None
         count, rest = divmod(len(scans.words), self.width)
-        if not count or rest:
-            return None
         missed = (scans.sequence - self._next_sequence) & 0xFFFF_FFFF
-        if missed > 0x8000_0000:
-            return None  # a packet from before: a repetition on the line
+        # More than half the range is a packet from before: a repetition on the line.
+        if not count or rest or missed > 0x8000_0000:
+            return None
         lost = missed + ((scans.lost - self._lost) & 0xFFFF)
         self._next_sequence = (scans.sequence + count) & 0xFFFF_FFFF
         self._lost = scans.lost

@@ -104,11 +104,14 @@ def edges_arrive(bus: SpiBus, period_s: float) -> bool:
     """
     if Capability.EVENT_COUNTER not in bus.capabilities:
         return True
+    asked_s, wait_s = bus.now_s(), max(_PERIODS * period_s, _COUNT_S)
     _, begin_s = bus.count_events()
-    bus.sleep_s(max(_PERIODS * period_s, _COUNT_S))
+    bus.sleep_s(wait_s)
     edges, end_s = bus.count_events()
-    expected = (end_s - begin_s) / period_s
-    if edges and abs(edges - expected) > _EDGES_TOLERANCE + _RATE_TOLERANCE * expected:
+    # A busy host may be late before and after each count; only limits of the time between are sure.
+    least = (1 - _RATE_TOLERANCE) * wait_s / period_s - _EDGES_TOLERANCE
+    most = (1 + _RATE_TOLERANCE) * (bus.now_s() - asked_s) / period_s + _EDGES_TOLERANCE
+    if edges and not least <= edges <= most:
         raise ChipError(
             f"{bus.url}: {edges / (end_s - begin_s):.4g} edges a second on the data-ready line, but the"
             f" sensor samples {1 / period_s:.4g} times a second: wire the line to DIO1 and to nothing else,"
@@ -448,16 +451,17 @@ class PolledScans(ScanStream):
         self._missed = 0.0
         self._in_bursts = bus.unbroken_frames is not None
         self._polled_s = -np.inf
-        self._way_s = self._ask_s = np.inf
-        self._probed = False
+        self._way_s = np.inf
         self._edges: int | None = 0 if counts_edges else None
         self._accounted = 0
         self._ahead: float | None = None
         if counts_edges:
+            begin_s = bus.now_s()
             bus.read_event_counter()
+            self._ask_s = bus.now_s() - begin_s
 
     def _next(self) -> ScanBlock:
-        waited_from = self._bus.now_s()
+        silent_s = 0.0
         while True:
             words, times = self._poll()
             if self._pass_s < ALIGNABLE * self._period_s:
@@ -470,21 +474,22 @@ class PolledScans(ScanStream):
                 self._accounted += len(block) + block.lost
                 self._heed_counter()
                 return block
-            if self._bus.now_s() - waited_from > SILENT_PERIODS * self._period_s + 1.0:
+            if silent_s > SILENT_PERIODS * self._period_s + 1.0:
                 raise SilentChipError(
                     "no new data from the sensor: it sleeps, restarts or is not connected"
                     " (bit ND never came in any output register)"
                 )
+            # A busy host may stop between two reads of a poll, which then counts as a long one.
+            silent_s += min(self._polled_s - float(times[0, 0]), LONGEST_EXCHANGE_S)
 
     @property
     def caveat(self) -> str:
         """Warning that a scan may mix words of two updates, if polling was too slow; else empty."""
-        if not self._may_mix:
-            return ""
-        return (
+        mixed = (
             "scans were polled too slowly to separate the sensor's updates: the words of a row may come"
             " from two or more neighbouring updates"
         )
+        return mixed if self._may_mix else ""
 
     def _heed_counter(self) -> None:
         """Compare the scans and missed updates so far with the data-ready edges that the bus has counted.
@@ -497,10 +502,10 @@ class PolledScans(ScanStream):
         begin_s = self._bus.now_s()
         self._edges += self._bus.read_event_counter()
         end_s = self._bus.now_s()
-        # Assume the latest possible reading if the request was repeated: see `_poll`.
         self._ask_s = min(self._ask_s, end_s - begin_s)
-        counted_s = end_s - self._ask_s / 2
-        since = (counted_s - self._last_s) / self._period_s
+        if end_s - begin_s > self._ask_s + self._period_s:
+            return  # the request was repeated or the host was busy: the time of the count is not known
+        since = (end_s - self._ask_s / 2 - self._last_s) / self._period_s
         ahead = self._edges - since - self._accounted - self._missed
         if self._ahead is None:
             self._ahead = ahead  # edges before the first scan
@@ -516,8 +521,8 @@ class PolledScans(ScanStream):
         # frame between them, only one at the very end.
         scan_s = max(self._period_s, self._pass_s)
         passes = max(LEAST_PASSES, int(np.ceil(self._block_scans * scan_s / self._pass_s)))
-        if not self._probed:  # a bridge may be far slower than its timing: time a pass before a long batch
-            passes, self._probed = LEAST_PASSES, True
+        if self._polled_s == -np.inf:  # time a pass before a long batch: a bridge may be slow
+            passes = LEAST_PASSES
         # A pass may take seconds on a slow bridge; no exchange of several passes lasts longer than this.
         passes = min(passes, max(1, int(LONGEST_EXCHANGE_S / self._pass_s)))
         if self._bus.unbroken_frames is not None:
