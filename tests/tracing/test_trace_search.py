@@ -11,6 +11,7 @@ import pytest
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import Readings
 from adis_gonio.model.effects import effect
+from adis_gonio.tracing import linear_problem
 from adis_gonio.tracing.grammar import nameless_terms
 from adis_gonio.tracing.linear_problem import LinearProblem, Products, linearise
 from adis_gonio.tracing.model_search import Model, Search, price, search
@@ -130,11 +131,16 @@ def test_many_openings_stop_the_search_around_others_than_the_best(monkeypatch) 
     assert len(few.scores) < len(every.scores)
 
 
-def test_pairs_score_as_one_term_after_the_other() -> None:
+@pytest.mark.parametrize("most", [1, 500, 1 << 20])
+def test_pairs_score_as_one_term_after_the_other_in_chunks_of_any_size(monkeypatch, most) -> None:
+    monkeypatch.setattr(linear_problem, "_PAIR_PRODUCTS", most)
     problem = problem_of(observations(HIDDEN[2], seed=8), 40, 8)
     products = Products(problem, problem)
     for model in [(), (3,), (1, 6)]:
-        chi2, rank, gains = products.pairs(model)
+        chi2, rank, chunks = products.pairs(model)
+        gains = np.full((len(problem.terms), len(problem.terms)), -np.inf)
+        for one, part in chunks:
+            gains[one, one.start :] = part
         assert rank == sum(int(problem.width[k]) for k in model)
         assert chi2 == pytest.approx(problem.chi2 - problem.gain(model))
         for a in set(range(len(problem.terms))) - set(model):

@@ -14,7 +14,7 @@ amplitude.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -40,6 +40,8 @@ from adis_gonio.tracing.thresholds import limits
 
 _TINY = 1e-8
 """Least squared part of a column outside a model; a smaller part is a rounding error."""
+_PAIR_PRODUCTS = 1 << 20
+"""Number of products of columns by which gains of pairs are computed at once."""
 
 
 @dataclass(frozen=True)
@@ -209,15 +211,16 @@ class LinearProblem:
             gains.append(_gains_of_wide_blocks(z, inside, first[wide:]))
         return np.concatenate(gains)
 
-    def pair_gains(self, z: Floats, inside: Floats, gram: Floats) -> Floats:
-        """Return the decrease of χ² (M, M) by each pair of terms if both are added to a model.
+    def pair_gains(self, z: Floats, inside: Floats, gram: Floats) -> Iterator[tuple[slice, Floats]]:
+        """Yield the decrease of χ² by pairs of terms if both are added to a model.
 
         `z` (P,), `inside` (k, P) and `gram` (P, P) are the products of all columns with the model's
-        residual, with an orthonormal basis of its columns and with each other. Only entries above the
-        diagonal are valid; −∞ if the first term lies in the model.
+        residual, with an orthonormal basis of its columns and with each other. Each item has the numbers
+        (m,) of first terms and their gains with these and all later terms, (m, M − number of the first).
+        Only entries above the diagonal are valid; −∞ if the first term lies in the model.
         """
         # Orthonormalise the part of each block outside the model.
-        z, left = z.copy(), gram - inside.T @ inside
+        z = z.copy()
         alone = np.zeros(len(self.shared.width))
         halves = []
         for members, places, size in self._groups:
@@ -229,19 +232,25 @@ class LinearProblem:
             turned = halves[-1] @ z[places].reshape(-1, size, 1)
             z[places] = turned.ravel()
             alone[members] = np.where(seen, (turned**2).sum(axis=(1, 2)), -np.inf)
-        for _ in range(2):  # rows, then columns
-            for (_, places, size), half in zip(self._groups, halves, strict=True):
-                left[places] = (half @ left[places].reshape(-1, size, len(z))).reshape(-1, len(z))
-            left = np.ascontiguousarray(left.T)
-        # The gain of both is the gain of one, and of the other beyond it.
-        both = np.full((len(alone), len(alone)), -np.inf)
-        for members, places, size in self._groups:
-            along = left[places, places.start :].reshape(-1, size, len(z) - places.start).transpose(1, 0, 2)
-            own = z[places].reshape(-1, size).T[:, :, None]
-            rest = z[places.start :] - (own * along).sum(axis=0)
-            first = self.shared.first[members.start :] - places.start
-            both[members, members.start :] = _gains_of_wide_blocks(rest, along, first)
-        return both + alone[:, None]
+        for group, (members, places, size) in enumerate(self._groups):
+            step = max(1, _PAIR_PRODUCTS // (size * len(z)))
+            for start in range(members.start, members.stop, step):
+                chunk = slice(start, min(start + step, members.stop))
+                first = places.start + size * (start - members.start)
+                rows = slice(first, first + size * (chunk.stop - start))
+                left = gram[rows, first:] - inside[:, rows].T @ inside[:, first:]
+                turns = halves[group][start - members.start : chunk.stop - members.start]
+                left = turns @ left.reshape(-1, size, left.shape[1])
+                for (_, columns, wide), half in zip(self._groups[group:], halves[group:], strict=True):
+                    own = left[..., max(0, columns.start - first) : columns.stop - first]
+                    blocks = own.reshape(*own.shape[:2], -1, wide)
+                    turned = np.einsum("nrmw,mvw->nrmv", blocks, half[-blocks.shape[2] :])
+                    own[:] = turned.reshape(own.shape)
+                # The gain of both is the gain of one, and of the other beyond it.
+                along = left.transpose(1, 0, 2)
+                rest = z[first:] - (z[rows].reshape(-1, size).T[:, :, None] * along).sum(axis=0)
+                both = _gains_of_wide_blocks(rest, along, self.shared.first[start:] - first)
+                yield chunk, both + alone[chunk, None]
 
     def subset(self, chosen: NDArray[np.intp]) -> LinearProblem:
         """Return the problem restricted to the terms with the numbers `chosen`, in ascending order."""
@@ -374,8 +383,8 @@ class Products:
         inside = half.T @ np.concatenate([self._of[k] for k in model])
         return problem.chi2 - float(along @ along), self._target - along @ inside, inside
 
-    def pairs(self, model: Sequence[int]) -> tuple[float, int, Floats]:
-        """Return a model's χ², its number of columns, and the decrease of χ² (M, M) by pairs of terms."""
+    def pairs(self, model: Sequence[int]) -> tuple[float, int, Iterator[tuple[slice, Floats]]]:
+        """Return a model's χ², its number of columns, and `LinearProblem.pair_gains` of the added terms."""
         if self._problem.split is not None:
             return self._dense.pairs(model)
         chi2, z, inside = self.of_model(model)
@@ -482,9 +491,12 @@ def _blocks(
     spread = amplitude_spreads(fit.data.model, terms, width)
     numbers = np.argsort(width, kind="stable")
     index = columns_of(np.cumsum(width) - width, width, numbers)
-    white = fit.white(raw)
-    columns = by_session(white[:, index], place)
-    blocks = SessionBlocks.of(len(white), place, bases, columns, spread[index], width[numbers])
+    white = fit.white(raw)[:, index]
+    del raw  # at 2000 dwells each of these arrays takes 600 MB
+    blocks = SessionBlocks.of(
+        len(white), place, bases, by_session(white, place), spread[index], width[numbers]
+    )
+    del white
     shown = np.flatnonzero(blocks.total).astype(np.intp)
     blocks = blocks.subset(shown)
     # The price of a column u of length 1 is ½ ln(1 + s² n): s is the prior standard deviation in units of

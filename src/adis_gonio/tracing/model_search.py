@@ -247,16 +247,22 @@ class Climb:
         ):
             return
         self.paired.add(model)
-        chi2, rank, gains = joining.products.pairs(model)
+        chi2, rank, pairs = joining.products.pairs(model)
         here = self._score(model, chi2)
         prices, width = found.prices[joining.number], joining.problem.width
-        scores = here + 0.5 * gains / found.inflation - prices - prices[:, None]
-        room = problem.dof - rank - width - width[:, None] >= self.spare
         new = np.isin(joining.number, model, invert=True)
-        scores = np.where(np.triu(room & new & new[:, None], 1), scores, -np.inf)
-        top = float(scores.max()) if start else self.top
-        wanted = np.isfinite(scores) & (scores >= top - limits.window)
-        self._keep(model, joining.number[np.argwhere(wanted)], scores[wanted])
+        top, kept = -np.inf if start else self.top, []
+        for one, gains in pairs:
+            others = slice(one.start, None)
+            scores = here + 0.5 * gains / found.inflation - prices[others] - prices[one, None]
+            room = problem.dof - rank - width[others] - width[one, None] >= self.spare
+            scores[~np.triu(room & new[others] & new[one, None], 1)] = -np.inf
+            top = max(top, float(scores.max())) if start else top
+            wanted = np.argwhere(np.isfinite(scores) & (scores >= top - limits.window))
+            kept.append((one.start + wanted, scores[tuple(wanted.T)]))
+        added, score = (np.concatenate(parts) for parts in zip(*kept, strict=True))
+        high = score >= top - limits.window
+        self._keep(model, joining.number[added[high]], score[high])
 
     def _keep(self, model: Model, added: NDArray[np.intp], scores: Floats) -> None:
         """Store the scores (n,) of a model extended by terms, given by their numbers (n, k) in `added`."""
