@@ -150,9 +150,9 @@ def test_a_session_without_effects_says_so_in_place_of_their_table(curved):
     _, result, _ = curved
     some, none = found_section(result), found_section(replace(result, found=()))
     assert (len(some.tables), list(some.words)) == (1, [])
-    assert (len(none.tables), list(none.words)) == (
-        0, ["No effect had to be added, or none could be named."]
-    )  # fmt: skip
+    assert (len(none.tables), list(none.words)) == (0, ["No added term could be named."])
+    bare = found_section(replace(result, found=(), steps=()))
+    assert list(bare.words) == ["No effect had to be added."]
     for finding in result.found:
         (note,) = (note for note in some.notes if note.startswith(f"{finding.effect}: "))
         assert note.endswith(finding.cause)

@@ -278,10 +278,11 @@ def found_section(traced: TraceResult) -> Section:
     ]
     notes = [f"{one.effect}: {words.how_sure(one)}. {one.cause}" for one in words.ordered(traced)]
     share = "“Explains” is the share of the base model's residual beyond the measured noise."
+    nothing = "No added term could be named." if traced.steps else "No effect had to be added."
     return Section(
         "Effects found",
         notes=[*notes, share] if rows else [],
-        words=[] if rows else ["No effect had to be added, or none could be named."],
+        words=[] if rows else [nothing],
         tables=[table],
         parts=parts,
     )
