@@ -145,7 +145,7 @@ def test_ctrl_c_in_the_midst_of_a_trace_leaves_everything_as_it_was(tmp_path, co
         rest = process.communicate(timeout=600)[1]
     assert process.returncode == 130
     assert first.endswith("…\n")
-    assert rest.splitlines()[-1] == "adis-gonio: stopped by the operator; what was recorded is kept"
+    assert rest.splitlines()[-1] == "adis-gonio: stopped by the operator; recorded data are kept"
     assert "Traceback" not in rest
     assert page.read_text(encoding="utf-8") == "old"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["page.html", "turn.csv"]

@@ -115,7 +115,7 @@ def _stopped(error: BaseException) -> int:
         *_, (frame, _) = traceback.walk_tb(error.__cause__.__traceback__)
         if path := frame.f_locals.get("bytecode_path"):
             return _fail(f"{path}: damaged; delete this file", 1)
-    return _fail("stopped by the operator; what was recorded is kept", 130)
+    return _fail("stopped by the operator; recorded data are kept", 130)
 
 
 def _fail(message: str, status: int) -> int:

@@ -219,7 +219,7 @@ def _run(
                 complete = PlainBench(runner, auto=options["auto"], hands=hands).run()
         finally:  # also if the device is lost
             if not complete:
-                click.echo(f"what was recorded is kept; go on with {resume_by}", err=True)
+                click.echo(f"recorded data are kept; go on with {resume_by}", err=True)
         return complete, on_screen
 
 
