@@ -5,7 +5,9 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from adis_gonio.faces.cli import main
 from adis_gonio.record import segmentation
+from adis_gonio.record.loading import load_session
 from adis_gonio.record.segmentation import segment_with_notes
 
 RATE = 100.0
@@ -95,3 +97,28 @@ def test_memory_is_less_than_that_of_the_recording(monkeypatch):
         tracemalloc.stop()
     assert len(found) >= 400_000 / RATE / STEP_S
     assert peak < sum(array.nbytes for array in whole)
+
+
+@pytest.mark.parametrize(("rate_hz", "filter_m"), [(20.0, 2), (20.0, 4), (100.0, 4), (100.0, 6)])
+def test_a_rest_behind_a_slow_filter_is_one_dwell_and_a_move_divides_it(rate_hz, filter_m):
+    rng = np.random.default_rng(3)
+    count = 1 << filter_m
+    taps = np.convolve(np.full(count, 1 / count), np.full(count, 1 / count))
+    half = 150 * count
+    seen = np.repeat([[1000.0, 0.0, 0.0], [0.0, 1000.0, 0.0]], half, axis=0)
+    seen += rng.normal(0.0, 5.0, seen.shape)
+    behind = np.stack([np.convolve(axis, taps, "valid") for axis in seen.T], axis=1)
+    slices, _ = segment_with_notes(np.arange(len(behind)) / rate_hz, behind, filter_m=filter_m)
+    first, second = slices
+    assert first.stop <= half <= second.start + len(taps)
+    assert min(rows.stop - rows.start for rows in slices) > 0.8 * half
+
+
+def test_the_filter_that_a_file_states_sets_the_window(tmp_path):
+    path = tmp_path / "rest.csv"
+    arguments = ["stream", "sim:?seed=1", "--rate", "20", "--filter", "4", "--seconds", "120"]
+    assert main([*arguments, "-o", str(path)]) == 0
+    session = load_session(path)
+    assert [len(dwell.time_s) > 0.85 * 120 * 20 for dwell in session.dwells] == [True]
+    path.write_text(path.read_text().replace("# filter_m: 4\n", "# filter_m:\n"))
+    assert sum(len(dwell.time_s) for dwell in load_session(path).dwells) < 0.5 * 120 * 20

@@ -422,7 +422,7 @@ def read_samples_csv(path: str | Path, overrides: Overrides | None = None) -> Se
             recording = None
     else:
         assert recording is not None
-        slices, notes, free = _dwells_by_stillness(path.name, recording)
+        slices, notes, free = _dwells_by_stillness(path.name, recording, table.head.keys.get("filter_m", 0))
         numbers = list(range(len(slices)))
     declared, remarks = _declared(table, slices, free=free)
     dwells = tuple(
@@ -483,13 +483,13 @@ def _dwell(table: SamplesTable, number: int, rows: slice, **declared: Any) -> Dw
     return Dwell(number, **declared | {name: values[rows] for name, values in table.series.items()})
 
 
-def _dwells_by_stillness(file: str, recording: Dwell) -> tuple[list[slice], list[str], bool]:
+def _dwells_by_stillness(file: str, recording: Dwell, filter_m: int) -> tuple[list[slice], list[str], bool]:
     """Find the dwells of a continuous recording: their rows, remarks, and True if it is a free turn.
 
-    `file` is the file's name for messages.
+    `file` is the file's name for messages, `filter_m` the exponent of the chip's filter (0 if unknown).
     """
     try:
-        slices, notes = segment_with_notes(recording.time_s, recording.accel, recording.gyro)
+        slices, notes = segment_with_notes(recording.time_s, recording.accel, recording.gyro, filter_m)
     except DataError as error:
         raise DataError(f"{file}: {error}") from error
     free = shows_a_free_turn(recording, slices)

@@ -13,6 +13,9 @@ window, and kept if it lasts at least `LEAST_S`. A slow turn or a slip moves the
 deviation: the window between two still windows is not still if their means differ by more than the upper
 limit.
 
+A window has at least eight settling times of the chip's filter, if the filter is known: in a shorter one
+the samples are correlated, and their standard deviation shows only a part of the noise.
+
 Running sums are computed a block of rows at a time, so that memory is needed for little but their results.
 """
 
@@ -27,8 +30,9 @@ from numpy.typing import NDArray
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import DataError
 from adis_gonio.base.numbers import counted
+from adis_gonio.device.sensor.settings import filter_settling_samples
 from adis_gonio.model.records import Dwell
-from adis_gonio.record.stillness import UPPER, limits_from_noise
+from adis_gonio.record.stillness import SETTLINGS_PER_WINDOW, UPPER, limits_from_noise
 
 WINDOW_S = 0.5
 TRIM_S = 0.25
@@ -45,7 +49,7 @@ _FIRST = 20_000
 
 
 def segment_with_notes(
-    time_s: Floats, accel: Floats, gyro: Floats | None = None
+    time_s: Floats, accel: Floats, gyro: Floats | None = None, filter_m: int = 0
 ) -> tuple[list[slice], list[str]]:
     """Find the dwells of a continuous recording in memory; return their rows and remarks.
 
@@ -57,6 +61,8 @@ def segment_with_notes(
         Accelerometer samples, any unit.
     gyro : (n, 3) float, optional
         Gyro samples, any unit; windows in which they turn are not still.
+    filter_m : int
+        Exponent M of the chip's filter; 0 if there is none or it is unknown.
 
     Returns
     -------
@@ -74,7 +80,8 @@ def segment_with_notes(
     if n < 2 * _LEAST_WINDOW or time_s[0] == time_s[-1]:
         return [], [f"{counted(n, 'sample')}: too few for a continuous recording"]
     period = float(np.median(np.diff(np.unique(time_s))))
-    window = max(_LEAST_WINDOW, round(WINDOW_S / period))
+    # Without a filter one sample settles, so that a window has at least eight samples.
+    window = max(round(WINDOW_S / period), SETTLINGS_PER_WINDOW * filter_settling_samples(filter_m))
     # Half a window: two runs with only one window between them then share no rows.
     trim, least = max(window // 2, round(TRIM_S / period)), max(2 * window, round(LEAST_S / period))
     if n < least:
