@@ -1,16 +1,26 @@
 """The IIO device: units, XML and the bytes of a scan."""
 
 import math
+import threading
+import time
 import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
 
-from adis_gonio.device.sensor import VARIANTS
+from adis_gonio.device.sensor import VARIANTS, Adis16354
 from adis_gonio.device.sensor.registers import REGISTERS
 from adis_gonio.device.sensor.settings import Configuration, low_pass_3db_hz, smpl_prd_for
-from adis_gonio.faces.serve.iio_device import Buffer, ScanFormat, SensorState, ServedDevice, filter_for
+from adis_gonio.faces.serve.iio_device import (
+    Buffer,
+    Sampler,
+    ScanFormat,
+    SensorState,
+    ServedDevice,
+    filter_for,
+)
 from adis_gonio.faces.serve.iiod_protocol import Errno, Refused
+from adis_gonio.sim import SimBus, World
 
 
 def state_of(**changes):
@@ -133,3 +143,24 @@ def test_a_full_queue_loses_its_oldest_and_counts_them():
     assert len(buffer) == 0
     assert taken == [20, 21, 22, 23, *range(50, 60)]
     assert buffer.lost == 60 - len(taken)
+
+
+def test_times_of_scans_increase_after_a_stream_that_was_timed_too_late(monkeypatch):
+    clock_ns, late_ns = time.time_ns, [10**12]
+    monkeypatch.setattr(time, "time_ns", lambda: clock_ns() + (late_ns.pop() if late_ns else 0))
+    times, came = [], threading.Semaphore(0)
+
+    def on_scans(_, time_ns):
+        times.append(time_ns)
+        came.release()
+
+    with Adis16354(SimBus(world=World(seed=1))) as sensor:
+        sampler = Sampler(sensor, on_scans, times.append)
+        sampler.want(True)
+        for _ in range(3):
+            assert came.acquire(timeout=60)
+            sampler.submit(lambda sensor: None).result(60)
+        assert came.acquire(timeout=60)
+        sampler.stop()
+    assert not late_ns
+    assert (np.diff(np.concatenate(times)) > 0).all()

@@ -88,6 +88,7 @@ class Sampler:
         """One entry for each job that has not begun, for which the stream ends."""
         self._wake = threading.Event()
         self._stopping = self._wanted = False
+        self._last_ns = 0
         self.state = state_of(sensor)
 
     def stop(self) -> None:
@@ -163,9 +164,9 @@ class Sampler:
         self._wake.clear()
         rate_hz = self.state.configuration.sample_rate_hz
         block_scans = min(MOST_BLOCK, max(1, round(BLOCK_S * rate_hz)))
-        wall_s = time.monotonic()
-        bus_s = sensor.bus.now_s()
-        since_1970_ns = time.time_ns() - round(bus_s * 1e9)
+        wall_s, bus_s = time.monotonic(), sensor.bus.now_s()
+        # A busy host may have timed an earlier stream too late, or its clock was set back.
+        since_1970_ns = max(time.time_ns(), self._last_ns) - round(bus_s * 1e9)
         self._sound_s = bus_s
         try:
             with sensor.stream((_CHECK, *DEFAULT_SCAN, _CHECK), block_scans=block_scans) as stream:
@@ -199,6 +200,7 @@ class Sampler:
         sound = (block.words[:, [0, -1]] == self.state.sens_avg).all(axis=1)
         if sound.any():
             self._sound_s = float(block.time_s[sound][-1])
+            self._last_ns = round(self._sound_s * 1e9) + since_1970_ns
         elif block.time_s[-1] > self._sound_s + _LONGEST_UNSOUND_S:
             self._require_sound(block.words[-1])
         numbers = block.numbers()[sound, 1:-1]
