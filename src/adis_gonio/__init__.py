@@ -40,5 +40,5 @@ __getattr__ = lazily(__name__, _HOMES)
 
 
 def __dir__() -> list[str]:
-    """Public names, also those that were not imported yet."""
+    """Public names, also names that were not imported yet."""
     return sorted(globals()["__all__"])

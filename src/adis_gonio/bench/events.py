@@ -116,7 +116,7 @@ class StageMoved(Event):
 
 
 class Watching(Event):
-    """Newest readings of the sensor; those of a dwell come with its `DwellProgress`.
+    """Newest readings of the sensor; readings of a dwell come with its `DwellProgress`.
 
     Attributes
     ----------

@@ -398,12 +398,12 @@ def _unknown_readings(
 def _estimate_scale(
     first: Determination, readings: Readings, noise: NoiseAssumptions, start_mg: float
 ) -> tuple[float, float]:
-    """Estimate the standard deviation in mg of the readings if that of the declared angles is stated.
+    """Estimate the scatter of the readings in mg if the scatter of the declared angles is stated.
 
     The scatter of the angles is part of χ², but shows little of the readings' noise, so that the
     restricted likelihood decides, and its curvature gives the degrees of freedom. `start_mg`, at which χ²
-    is its degrees of freedom, is returned with these if the likelihood has no maximum within a factor of
-    1000. The angles may scatter some hundred times more than the readings.
+    equals its degrees of freedom, is returned with these degrees if the likelihood has no maximum within a
+    factor of 1000. The angles may scatter some hundred times more than the readings.
     """
     from scipy.optimize import minimize_scalar
 

@@ -198,10 +198,10 @@ class Sources:
     def roots(self, gradient: Floats, reading: Floats) -> Floats:
         """Return the change (m, k) of m quantities by one standard uncertainty of each of k components.
 
-        The k components are those of all sources; they are independent, so that the result times its
+        The k components belong to all sources; they are independent, so that the result times its
         transpose is the covariance of the quantities. `gradient` (m, p) and `reading` (m, axes) are the
         derivatives of the quantities by the parameters and by a further reading, to which the calibration
-        is applied. Errors that act on all readings (such as those of a supply) act on the further reading
+        is applied. An error of all readings, such as the effect of the supply, acts on the further reading
         too; its noise is not included.
         """
         return np.concatenate([source._moved(gradient, reading) for source in self._counted], axis=1)
@@ -471,7 +471,7 @@ def _temperature(data: Readings, noise: NoiseAssumptions, fit: Fit, response: Fl
         variance = 1 / (1 / figure**2 + (left**2).sum(axis=0))
         mean = variance * (fit.residual.ravel() @ left)
         # The fit leaves the change out, so it counts with its second moment; if the residual is larger than
-        # the noise, the source of missing effects has that of all effects.
+        # the noise, the source of missing effects has the second moment of all effects.
         spread = np.sqrt(variance + (mean**2 if noise.extra_mg == 0 else 0.0))
         acts = columns * spread
         moves = np.einsum("pna,nab->pb", response, acts)

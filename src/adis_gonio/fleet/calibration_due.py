@@ -216,7 +216,7 @@ def step(
 
 
 def _factor(record: SessionRecord, name: str) -> float:
-    """Return the factor from the unit of a change of a parameter to that of `slopes_deg`.
+    """Return the factor from the unit of a change of a parameter to the unit of `slopes_deg`.
 
     It is 1 except for a bias in counts, which the gain of the session converts to mg.
     """

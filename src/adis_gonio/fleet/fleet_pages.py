@@ -33,7 +33,7 @@ _MOST_ROWS = 200
 
 
 def build_page(summary: Summary, repeated: Sequence[Repeated] = (), population: Sequence[str] = ()) -> str:
-    """Render the summary of a fleet as one HTML page; the parameters are those of `fleet_sections`.
+    """Render the summary of a fleet as one HTML page; the parameters are as in `fleet_sections`.
 
     Raises
     ------

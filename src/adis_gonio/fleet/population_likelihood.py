@@ -209,7 +209,7 @@ class Given:
     def gains(self, grid: Grid, most: float = MOST) -> Floats:
         """Return the log likelihood ratio (n, m/2) of each session at each distribution of a grid.
 
-        The amplitudes of the grid count as relative if those of this evidence are relative.
+        The amplitudes of the grid count as relative if the amplitudes of this evidence are relative.
         """
         factors = np.empty((self.weights.shape[1], len(grid.spread)))
         for spread in np.unique(grid.spread):  # all means of one spread in one call

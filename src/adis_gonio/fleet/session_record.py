@@ -186,13 +186,13 @@ class SessionRecord(JsonRecord):
     def row(self) -> dict[str, Any]:
         """Return a row with the columns of `COLUMNS`; unknown values are None.
 
-        Each of `QUANTITIES` has six columns, such as those of ΔK: `delta_k` is the value, `delta_k_u` the
-        standard uncertainty u, `delta_k_u95` the expanded uncertainty U = k·u (95 %), `delta_k_k` the
-        factor k, `delta_k_dof` the degrees of freedom of u, and `delta_k_stage` the list of changes of the
-        value by one standard uncertainty of each error of the stage's certificate. All six are None (an
+        Each of `QUANTITIES` has six columns. For ΔK, `delta_k` is the value, `delta_k_u` the standard
+        uncertainty u, `delta_k_u95` the expanded uncertainty U = k·u (95 %), `delta_k_k` the factor k,
+        `delta_k_dof` the degrees of freedom of u, and `delta_k_stage` the list of changes of the value by
+        one standard uncertainty of each error of the stage's certificate. All six are None (an
         empty list for `_stage`) if the session does not determine the quantity, or has it in another unit
         than the column (counts of unknown scale). `effects` are the names of the effects that the trace
-        found, `model_effects` those in the model that gives the values.
+        found, `model_effects` the effects in the model that gives the values.
         """
         row = {name: value for name, value in vars(self).items() if name not in _APART}
         row["model_effects"] = list(self.model_effects)

@@ -1,6 +1,6 @@
 """The digital twin: a simulated session with the model of a measured one, and their comparison.
 
-Residuals and Allan deviations of the measured data are compared with those of the twin.
+Residuals and Allan deviations are compared between the measured data and the twin.
 """
 
 from __future__ import annotations

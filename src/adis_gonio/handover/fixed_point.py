@@ -358,7 +358,7 @@ _FORMS: dict[str, tuple[float, tuple[str, ...]]] = {
 def rate_polynomial_of(calibration: Calibration, gyro: GyroCalibration) -> Polynomial:
     """Convert the calibration of the gyros to a polynomial that a firmware can compute.
 
-    `calibration` is that of the accelerometers, from which the step of the force in the polynomial follows.
+    `calibration` belongs to the accelerometers; from it the step of the force in the polynomial follows.
 
     Raises
     ------

@@ -160,7 +160,7 @@ Estimates = Mapping[str, tuple[float, float]]
 
 
 def estimates_of(result: FitResult | TraceResult) -> Estimates:
-    """Return the parameters of a fit or a trace, with those that the paper's method implies.
+    """Return the parameters of a fit or a trace, with the parameters that the paper's method implies.
 
     The paper's method states ΔK and Δφ only. The scale of X follows from equation 6 (the length of
     (U_x1, U_x2)), the scale of Y from the scale of X and ΔK.

@@ -117,7 +117,7 @@ class ExportSource:
     method : str or None
         Method of the fit; None for the recommended one.
     traced : bool
-        True to export the coefficients of the traced model, False for those of the fit.
+        True to export the coefficients of the traced model, False to export the coefficients of the fit.
     name : str
         Prefix of every name in a C header.
     overrides : Overrides or None

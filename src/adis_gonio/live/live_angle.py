@@ -362,7 +362,7 @@ class AngleMeter:
     def _smoothed(self, end_s: float, notes: tuple[str, ...]) -> Smoothed | None:
         """Return the smoothed angle at one lag before `end_s`, the time of the last sample.
 
-        `notes` are added to those of the angle. Return None until a lag has passed.
+        `notes` are added to the notes of the angle. Return None until a lag has passed.
         """
         angle, calibration = self._smoother.angle() if self._turns else None, self._calibration
         if angle is None:

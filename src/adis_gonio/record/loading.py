@@ -44,8 +44,7 @@ class Overrides:
         True if the stage turned the other way than declared: angles and directions of approach change their
         sign.
     angles : mapping of int to float
-        Declared angles in degrees that replace those of these positions, by number; applied before
-        `reverse`.
+        New declared angles of positions in degrees, by their number; applied before `reverse`.
     accel_unit : str or None
         Unit of the accelerations; takes precedence over a unit in the file's header.
     sensor : str or None

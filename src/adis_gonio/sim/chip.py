@@ -347,7 +347,7 @@ class SimulatedChip:
     def frames_at(self, words: Words, starts_s: Floats, *, clock_hz: float) -> Words:
         """Take n frames that start at increasing times (n,) in s; return the n replies.
 
-        The result is that of n calls of `frame`, but faster. `clock_hz` is the SPI clock.
+        The result equals the result of n calls of `frame`, but comes faster. `clock_hz` is the SPI clock.
         """
         n = len(words)
         replies = np.empty(n, np.uint16)

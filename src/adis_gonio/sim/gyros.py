@@ -217,7 +217,7 @@ class Dies:
     Parameters
     ----------
     settings : WorldSettings
-        Settings of the world, of which those that begin with `die_`, and `powered_s`, are used.
+        Settings of the world; names that begin with `die_`, and `powered_s`, are used.
     """
 
     def __init__(self, settings: WorldSettings) -> None:

@@ -174,7 +174,7 @@ class HandTurn(_Hand):
     Parameters
     ----------
     settings : WorldSettings
-        Settings of the world, of which those that begin with `hand_`, and `axis_wobble_deg`, are used.
+        Settings of the world; names that begin with `hand_`, and `axis_wobble_deg`, are used.
     rng : Generator
         Draws the speed, pauses and tremor of this hand.
     turns : int
@@ -231,7 +231,7 @@ class HandMove(_Hand):
     Parameters
     ----------
     settings : WorldSettings
-        Settings of the world, of which those that begin with `hand_`, and `move_speed_dps`, are used.
+        Settings of the world; names that begin with `hand_`, and `move_speed_dps`, are used.
     rng : Generator
         Draws the grips, speed and errors of this movement.
     span_rad : float

@@ -62,7 +62,7 @@ class RidgeSolution:
         Share (0 to 1) of the contribution of `terms` that the fixed columns could not reproduce. It is 1 if
         `terms` is empty and for Gaussian processes, since their priors keep them small.
     weight : float
-        Posterior weight of the member among those of an average.
+        Posterior weight of the member in an average.
     """
 
     terms: tuple[NamelessTerm, ...]

@@ -228,7 +228,7 @@ def base_of(selection: Selection) -> dict[str, Value]:
     # The function that `fit` uses, so that each name has one unit in both results.
     out: dict[str, Value] = {}
     for where, own in data.model.sessions:
-        # Parameters of one session; those of its part may be in `out` already.
+        # Parameters of one session; parameters of its part may be in `out` already.
         names = [data.model.parameters[k] for k in own]
         hidden = {
             q.name.split("@")[0] for q, seen in zip(names, data.visible[own], strict=True) if not seen

@@ -1,6 +1,6 @@
 """Trace several sessions of one part, board or stage as one model.
 
-The readings of all sessions are stacked (`stack`) and traced like those of one session. Gains, skews and Δφ
+The readings of all sessions are stacked (`stack`) and traced like one session. Gains, skews and Δφ
 belong to the part, the start angle to the session, and the amplitudes of an effect to all sessions or to
 groups of them, by evidence (`adis_gonio.tracing.named_candidates`)::
 

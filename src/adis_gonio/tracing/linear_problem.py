@@ -92,7 +92,7 @@ class LinearProblem:
 
     @property
     def columns(self) -> Floats:
-        """Columns (rows, P) of the first terms in order, those of `shared`; columns not seen are zero."""
+        """Columns (rows, P) of the first terms in order (`shared`); columns not seen are zero."""
         return np.asarray(self.shared.columns[0])
 
     @property
@@ -331,7 +331,7 @@ def _gains_of_wide_blocks(z: Floats, inside: Floats, first: NDArray[np.intp]) ->
 
 
 class Products:
-    """Cache of scalar products between the columns of models and those of terms that may extend them.
+    """Cache of scalar products between the columns of models and the columns of terms that may extend them.
 
     With these products, an extension of a model can be scored without using the rows.
     """

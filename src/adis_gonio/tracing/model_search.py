@@ -65,7 +65,7 @@ class Search:
     inflation : float
         Factor on the measured noise variance; greater than 1 if no model is adequate.
     scores : dict of model to float
-        Log evidence of each model minus that of the base model (score 0); a model is a sorted
+        Log evidence of each model relative to the base model (score 0); a model is a sorted
         tuple of term numbers.
     promise : (M,) float
         Largest rise of the score by each term, over all models to which the search added every term in

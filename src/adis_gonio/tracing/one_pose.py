@@ -3,7 +3,7 @@
 A single pose does not show gains, angles or a bias. The base model is therefore one constant per axis, and
 the candidates vary in time: temperature (up to the third power), its lag, warm-up, drift, supply. Each axis
 has its own degree and time constant. The readings are averages of the samples over equal intervals of the
-recording, as those of other sessions are averages over dwells.
+recording; in other sessions they are averages over dwells.
 
 A bias also moves without a recorded cause: it jumps, it walks at random, or its noise is 1/f. An effect is
 therefore added only if it is more probable than these (`_noises`), and if the error on held-out blocks of

@@ -147,7 +147,7 @@ class SessionBlocks:
         return np.add.reduceat(shown, self.first) if len(self.first) else shown
 
     def of_term(self, term: int) -> Floats:
-        """Return the columns (rows, S · width) of one term, without those that no session shows."""
+        """Return the columns (rows, S · width) of one term, without the columns that no session shows."""
         own, seen = self.columns[..., self.places(term)], self.seen[:, self.places(term)].ravel()
         sessions, _, width = own.shape
         if sessions == 1:

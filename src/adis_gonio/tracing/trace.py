@@ -300,7 +300,7 @@ class TraceRun:
             lambda: None if self.closed else average(selection),
             None,
         )
-        # Inside a fold, the candidates are those that scored well on all dwells.
+        # Inside a fold, the candidates are the terms that scored well on all dwells.
         promising = selection.promising(self.terms)
         self.fold = validation.Fold(promising, self.averaged, self.max_effects)
         self.fits, self.steps = validation.nest_fits(selection, self.averaged)

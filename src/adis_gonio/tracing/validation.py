@@ -228,18 +228,18 @@ def cross_validate(
 
 
 def drop_unpredicted(
-    counts: Mapping[str, NDArray[np.bool_]], anew: Mapping[str, HeldOut]
+    counts: Mapping[str, NDArray[np.bool_]], chosen: Mapping[str, HeldOut]
 ) -> dict[str, NDArray[np.bool_]]:
-    """Remove from masks of counted dwells those that a model chosen without them does not determine.
+    """Remove from masks of counted dwells the dwells that a model chosen without them does not determine.
 
-    `counts` has the mask (n,) of the dwells that count, by design of the folds. `anew` has the residuals
+    `counts` has the mask (n,) of the dwells that count, by design of the folds. `chosen` has the residuals
     under models that were chosen again without each fold; `HeldOut.predicted` marks the dwells that these
     models determine. If the dwells that show an effect are left out, such as a quarter of a turn, another
     effect may be chosen that fits the other dwells equally well. Its covariance shows that the left-out
     dwells are undetermined by many mg. A design with less than a third of the dwells remaining is dropped,
     unless this drops all designs.
     """
-    rest = {name: own & anew[name].predicted for name, own in counts.items()}
+    rest = {name: own & chosen[name].predicted for name, own in counts.items()}
     kept = {name: mask for name, mask in rest.items() if 3 * int(mask.sum()) >= len(mask)}
     return kept or dict(counts)
 
@@ -588,7 +588,7 @@ def cut_worse_steps(
 
     Returns
     -------
-    The number of steps to keep, and the names without those of the other steps.
+    The number of steps to keep, and the names without the names of the other steps.
     """
     last = len(steps)
     if not errors:

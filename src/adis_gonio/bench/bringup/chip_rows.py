@@ -647,7 +647,7 @@ def _offset_steps(
                 step = (row.number(now) - row.number(then)) / (one.dps / 75 if columns.start else 1)
                 moved = two.mean[columns][k] - one.mean[columns][k]
                 short, long = sorted((one, two), key=lambda rest: rest.count)
-                # A short rest shows no slope but that of its noise.
+                # A short rest shows only the slope of its noise.
                 drift = (two.middle_s - one.middle_s) * float(long.slope[columns][k])
                 u = math.hypot(_mean_u(part, short, columns), drift)
                 if abs(step) > 10 * u and math.isfinite(moved):

@@ -307,7 +307,7 @@ def identify_variant(bench: BringupBench, found: StepResult) -> Ending:
     block = bench.scans(_SCANS, ACCEL_OUT)
     numbers = block.numbers().astype(np.float64)
     mean, u = mean_at_rest(numbers, 1.0, bench.sensor.configuration().filter_m)
-    # The bias in the table is that of the part alone, without the offset registers.
+    # The bias in the table is the bias of the part alone, without the offset registers.
     offsets = [row.number(bench.constants[row.name]) for row in registers(ACCEL_OFF)]
     mean = mean - offsets
     norm = float(np.linalg.norm(mean))

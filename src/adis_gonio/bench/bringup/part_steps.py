@@ -221,7 +221,7 @@ def measure_filter(bench: BringupBench, found: StepResult) -> Ending:
         bench.bus.sleep_s(bench.sensor.configuration().settling_s)
         block = bench.scans(_FILTER_SCANS, ACCEL_OUT, gaps=False)
         judged = _by_spectrum(part, block.numbers().astype(np.float64), m, rate, expected)
-        # Noise of an axis before the filter, if its gain is that of the table, and relative u.
+        # Noise of an axis before the filter, for the gain of the table, and relative u.
         noise = float(judged.sigma.mean())
         u = float(np.linalg.norm(judged.u)) / len(judged.u) / noise
         if m == 0:

@@ -305,7 +305,7 @@ class Accelerometers:
                 f"{session.source}: the fit does not give {', '.join(missing) or 'uncertainties'}"
             )
         own, axes = calibration_as_recorded(result, nominal=True), len(gains)
-        # Readings of the dwell if the offsets were those of the recording.
+        # Readings that the dwell would have at the offsets of the recording.
         offsets = {axis.axis: (axis.now - axis.recorded) * axis.lsb for axis in plan.axes}
         moved = np.array([offsets.get(axis, 0.0) for axis in AXES[:axes]])
         mean, u_mean = rest.mean_mg[:axes] - moved, self._u_of(rest)[:axes]

@@ -247,7 +247,7 @@ class SerialLink:
         """Receive packets for `wait_s` seconds; yield before the first reception and after each one.
 
         The last reception begins after this time, for bytes that came while the host was too busy to read
-        them. The yielded values are those of `pump`, and first False.
+        them. The first yielded value is False; then the values of `pump` follow.
         """
         end_s, left = self._clock.now_s() + wait_s, math.inf
         yield False

@@ -760,7 +760,7 @@ class Undo:
         self.unrestored: tuple[str, ...] = ()
 
     def put_back(self) -> None:
-        """Restore all changed registers; set `unrestored` to the names of those that could not be restored.
+        """Restore all changed registers; `unrestored` gets the names of registers that stay changed.
 
         Raises
         ------

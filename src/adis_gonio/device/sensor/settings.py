@@ -57,7 +57,7 @@ def mean_at_rest(values: Floats, lsb: float | Floats, m: int) -> tuple[Floats, F
     """Return the means (k,) of samples `values` (n, k) at rest, and their standard uncertainties (k,).
 
     `lsb` is the step of the samples, a number or (k,), and `m` the size M of the filter. The filter does
-    not reduce noise at the lowest frequencies, so that the uncertainty of a mean is that of unfiltered
+    not reduce noise at the lowest frequencies, so a mean is as uncertain as the mean of unfiltered
     noise. Rounding is random only if the noise exceeds an LSB.
     """
     deviation = values.std(axis=0, ddof=1)

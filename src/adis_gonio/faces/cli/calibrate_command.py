@@ -124,9 +124,9 @@ def calibrate_command(
     Every sample goes into the session file as it is taken. The file survives a kill at any moment; --resume
     continues with the missing positions. Ctrl-C ends the session and keeps all its data.
 
-    Each position is checked when the part comes to rest: it was not moved, it was turned the wrong way or
-    about another axis, or its angle error exceeds that of part and fixture. If you keep such a dwell, the
-    exit status is 1.
+    Each position is checked when the part comes to rest: the part was not moved, it was turned the wrong
+    way or about another axis, or the angle is off by more than part and fixture explain. If you keep such a
+    dwell, the exit status is 1.
 
     Scans start at the sensor's data-ready edges if the line is wired and the bridge can use it; otherwise,
     or with --poll, they are polled.

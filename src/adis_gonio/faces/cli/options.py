@@ -280,7 +280,7 @@ def what_if(function: Callable[..., Any]) -> Callable[..., Any]:
     exclude = click.option(
         "--without", "exclude", multiple=True, metavar="NAME", help="Leave this effect out of the model."
     )
-    only = flag("--only", help="No term but those of --with.")
+    only = flag("--only", help="No term other than the terms of --with.")
     return _with(function, include, exclude, only)
 
 

@@ -681,7 +681,7 @@ class Likelihood:
         self._has = np.array([k not in without for k in range(data.shapes.shape[1])])
         self._least = 1e-12 * float(np.max(data.power, initial=1e-300))
         typical = float(np.average(data.power, weights=data.weight))
-        # Bins with equal expectations, as those of records of equal length, count as one.
+        # Bins with equal expectations, as in records of equal length, count as one.
         same = np.column_stack([data.shapes, data.rounding])
         # Rows as bytes are sorted faster than with `axis=0`.
         rows = same.view(f"V{same.shape[1] * same.itemsize}").ravel()
@@ -832,7 +832,7 @@ def profile(
     """Estimate the coefficient of one noise process, by the likelihood maximized over the others.
 
     `theta` is the maximum of the likelihood over all squared coefficients, and `least` its deviance;
-    `index` is the index of the process in `KINDS`, `name` and `unit` those of its coefficient.
+    `index` is the index of the process in `KINDS`, `name` and `unit` describe its coefficient.
     """
     ratio = max(likelihood.maximum(theta, {index: 0.0})[1] - least, 0.0)
     p_value = 0.5 * float(special.chdtrc(1, ratio)) if theta[index] > 0 else 1.0

@@ -278,7 +278,7 @@ class Readings(ComputedOnce):
     def visible(self) -> NDArray[np.bool_]:
         """Mask (p,) of the base parameters that are fitted; the others keep their nominal values.
 
-        These are the parameters that were stated as fitted or, if none were, those that the dwells
+        These are the parameters that were stated as fitted or, if none were, the parameters that the dwells
         determine.
         """
         if self.fitted is not None:

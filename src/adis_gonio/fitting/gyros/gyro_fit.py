@@ -3,8 +3,8 @@
 The model is the gyros' base model (`MeanRate`) with the effects of a physical calibration: `g_sensitivity`
 if poses show it, `gyro_scale` and `gyro_misalignment` if turns show them. If the force along an axis
 changes steadily in the order of the poses, a drift of the zero rate imitates a g-sensitivity. Models with
-and without a drift (`DRIFTS`) are therefore compared by their prediction of left-out dwells. The result is
-that of the best model, and its u includes the differences to the other models, weighted by their odds. A
+and without a drift (`DRIFTS`) are therefore compared by their prediction of left-out dwells. The result
+comes from the best model; its u includes the differences to the other models, weighted by their odds. A
 parameter that the dwells and turns do not determine is fixed at the value of a perfect gyro and is listed
 in the result. A result states gains and misalignments as the scale factors K and directions D in rate = K D
 ω, with the true rate of turn ω, however large the errors are.
@@ -459,7 +459,7 @@ class _Model:
 
     @cached_property
     def stated(self) -> NDArray[np.bool_]:
-        """Mask (p,) of the parameters that a result states: all but those of a drift."""
+        """Mask (p,) of the parameters that a result states: all except the parameters of a drift."""
         own = [term.label in CALIBRATED for term in self.terms for _ in term.effect.parameters]
         return np.array([True] * (len(self.names) - len(own)) + own)
 

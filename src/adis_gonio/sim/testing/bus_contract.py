@@ -429,7 +429,7 @@ def random_batches(rng: np.random.Generator, count: int) -> list[list[int]]:
 
 
 def assert_timing(frames: list[WireFrame], timing: SpiTiming, clock_from: int = 0) -> None:
-    """Assert that the stall and the period before each frame are not shorter than those of `timing`.
+    """Assert that the stall and the period before each frame are not shorter than `timing` demands.
 
     The SPI clock is checked from frame `clock_from` on.
     """

@@ -272,7 +272,7 @@ def open_board(
     faults : Faults or None
         Faults of the serial line, see `SimulatedBoard`; each board draws from its own copy.
     boot_s : float
-        Silence in s at the beginning, like that of a board that boots.
+        Silence in s at the beginning, as while a board boots.
 
     Raises
     ------
