@@ -307,7 +307,8 @@ def test_silence_is_told():
         app._news_s = time.monotonic() - 42
 
     text, _, _ = shown([*THREE, DWELL], before=hush)
-    assert "NO NEWS for 42 s" in text
+    (seconds,) = re.findall(r"NO NEWS for (\d+) s", text)
+    assert int(seconds) >= 42
 
 
 def test_earlier_work_is_remembered():
