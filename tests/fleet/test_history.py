@@ -8,6 +8,7 @@ import pytest
 
 from adis_gonio.base.errors import UsageError
 from adis_gonio.base.uncertainty import Value
+from adis_gonio.fleet import fleet_pages
 from adis_gonio.fleet.calibration_due import due_of
 from adis_gonio.fleet.fleet_pages import history_sections
 from adis_gonio.fleet.sensor_history import headline, history_of, known_serial
@@ -134,6 +135,24 @@ def test_one_session_has_values_and_neither_drift_nor_chart():
     assert (track.drift, track.chart) == (None, None)
     (table,) = history_sections(history, figures=False)[0].tables
     assert table.rows[0][1:] != ["–"] * 5
+
+
+def test_the_rms_error_of_the_angle_has_no_interval(monkeypatch):
+    """It is positive; its U is that of a displayed angle."""
+    drawn, draw = {}, fleet_pages.plot
+
+    def plot(series, x, y, **more):
+        drawn.setdefault(y, series[0])
+        return draw(series, x, y, **more)
+
+    monkeypatch.setattr(fleet_pages, "plot", plot)
+    history = history_of("A7", [made_up(when, u=0.04, angle=0.026) for when in years(2)])
+    overview = history_sections(history)[0]
+    (table,) = overview.tables
+    assert "±" in table.rows[0][2]
+    assert table.rows[0][-1].replace("\u00a0", " ") == "0.026 (U 0.078)"
+    assert drawn["Δφ / °"].error == pytest.approx(1.96 * 0.04, rel=1e-3)
+    assert drawn["angle error, rms / °"].error is None
 
 
 def test_an_unknown_serial_number_names_the_one_most_like_it_in_one_line():

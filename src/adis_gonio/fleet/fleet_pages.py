@@ -15,7 +15,6 @@ from adis_gonio.base.numbers import (
     format_number,
     format_p,
     format_percent,
-    format_uncertain,
     format_unit,
     label_quantity,
     with_unit,
@@ -24,10 +23,12 @@ from adis_gonio.base.uncertainty import OUTLYING
 from adis_gonio.fleet import sensor_history
 from adis_gonio.fleet.fleet_summary import FEWEST, FEWEST_UNITS, GROUPS, Distribution, Summary, headline
 from adis_gonio.fleet.sensor_history import YEAR_DAYS, History, Track
-from adis_gonio.fleet.session_record import Repeated
+from adis_gonio.fleet.session_record import ANGLE, Repeated, format_quantity
 from adis_gonio.page.document import Figure, KeyFigure, Section, Series, Table, plot, render
 
 _MOST_BINS = 40
+_VALUES = "Values ± U (95 %). The U of the angle error belongs to a displayed angle."
+"""Caption of the values of a history."""
 _MOST_ROWS = 200
 """Largest number of rows in a table of the page; the JSON document has all rows."""
 
@@ -230,9 +231,10 @@ def history_sections(history: History, *, figures: bool = True) -> list[Section]
     adequate = {None: "–", True: "adequate", False: "not adequate"}
     values, effects = [], []
     for n, record in enumerate(history.sessions):
-        stated = [t.values[t.sessions.index(n)] if n in t.sessions else None for t in tracks]
+        stated = [(t.name, t.values[t.sessions.index(n)]) if n in t.sessions else None for t in tracks]
         date = (record.when or "")[:10]
-        values.append([date, *(DASH if v is None else format_uncertain(v.value, v.U) for v in stated)])
+        cells = (DASH if one is None else format_quantity(one[0], one[1].value, one[1].U) for one in stated)
+        values.append([date, *cells])
         names = [f"{e.effect} ({', '.join(e.axes)})" if e.axes else e.effect for e in record.effects]
         found = (", ".join(names) or "none") if record.traced else "not traced"
         effects.append([date, found, adequate[record.adequate]])
@@ -240,7 +242,7 @@ def history_sections(history: History, *, figures: bool = True) -> list[Section]
         Section(
             "Overview",
             words=(f"{shape[:1].upper()}{shape[1:]}.",),
-            tables=(Table(head, values, "Values ± U (95 %).", tuple(range(1, len(head)))),),
+            tables=(Table(head, values, _VALUES, tuple(range(1, len(head)))),),
             notes=tuple(f"left out: {record.path}: {reason}" for record, reason in history.left_out),
         ),
         *(_section(track, history, figures=figures) for track in tracks),
@@ -269,7 +271,9 @@ def _over_time(track: Track) -> Figure:
     for day in sorted(x.tolist()):
         if not dates or day - max(dates) >= 0.3 * np.ptp(x):
             dates[day] = sensor_history.date_of(day)
-    series = [Series(x, track.value, "session, with U", error=track.expanded, role="after")]
+    # An rms error is positive, and its U belongs to a displayed angle: no error bars.
+    error, stated = (None, "") if track.name == ANGLE else (track.expanded, " with U")
+    series = [Series(x, track.value, f"session{stated}", error=error, role="after")]
     if track.drift is not None:
         drift, days = track.drift, np.array([x.min(), x.max()])
         line = drift.level.value + drift.slope.value / YEAR_DAYS * (days - drift.reference_day)
@@ -280,7 +284,7 @@ def _over_time(track: Track) -> Figure:
     name = track.label
     drawn = plot(series, "date", name, title=f"{name} over time", x_ticks=dates)
     limits = "; limits from all previous sessions" if track.chart else ""
-    return Figure(drawn, f"Value of each session with U{limits}.")
+    return Figure(drawn, f"Value of each session{stated}{limits}.")
 
 
 def _cusum(track: Track) -> Figure:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from adis_gonio.base import __version__
 from adis_gonio.base.errors import AdisGonioError
 from adis_gonio.base.jsonable import JsonRecord
+from adis_gonio.base.numbers import format_uncertain
 from adis_gonio.base.uncertainty import Value, finite_or_none
 from adis_gonio.record.provenance import digest_of_file, provenance_of
 
@@ -45,6 +46,15 @@ PARTS = {"": "value", "_u": "u", "_u95": "U", "_k": "k", "_dof": "dof"}
 
 The ending of U is `_u95`, because names of columns ignore capitals.
 """
+
+
+def format_quantity(name: str, value: float, expanded: float | None) -> str:
+    """Format a quantity with its expanded uncertainty U, such as `1.08 ± 0.13`.
+
+    The error of the angle is an rms, and its U is the uncertainty of a displayed angle: `0.026 (U 0.040)`.
+    """
+    text = format_uncertain(value, expanded)
+    return f"{text.replace('±', '(U')})" if name == ANGLE and "±" in text else text
 
 
 Kind = Literal["text", "number", "integer", "flag", "names", "numbers"]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.base.numbers import counted, format_uncertain
+from adis_gonio.base.numbers import counted
 from adis_gonio.faces.cli import options as option, show
 
 if TYPE_CHECKING:
@@ -108,6 +108,8 @@ def archive_command(
 
 
 def _archive_cells(row: Mapping[str, Any]) -> list[str]:
+    from adis_gonio.fleet.session_record import format_quantity
+
     path, here = Path(row["path"]), Path.cwd()
     return [
         str(path.relative_to(here) if path.is_relative_to(here) else path)
@@ -117,7 +119,7 @@ def _archive_cells(row: Mapping[str, Any]) -> list[str]:
         (row["when"] or "–")[:16].replace("T", " "),
         row["plan"] or "–",
         *(
-            "–" if row[name] is None else format_uncertain(row[name], row[f"{name}_u95"])
+            "–" if row[name] is None else format_quantity(name, row[name], row[f"{name}_u95"])
             for name in ("delta_k", "delta_phi", "angle")
         ),
         row["effects"] or ("none" if row["traced"] else "not traced"),
