@@ -40,6 +40,14 @@ def test_a_planted_drift_is_the_one_that_is_found():
     assert "drift in bias_y" in headline(history)
 
 
+def test_a_step_among_five_sessions_is_in_the_headline_as_scatter():
+    """The charts cannot tell it from scatter between sessions, but the stated u cannot explain it."""
+    step = [made_up(when, u=0.1, bias_x=3.0 * (n > 2)) for n, when in enumerate(years(5))]
+    assert "scatter beyond u in bias_x;" in headline(history_of("A7", step))
+    still = [made_up(when, u=0.1) for when in years(5)]
+    assert "scatter" not in headline(history_of("A7", still))
+
+
 def test_without_a_drift_one_is_called_in_no_more_than_five_percent_of_sensors():
     rng = np.random.default_rng(2)
     called = [

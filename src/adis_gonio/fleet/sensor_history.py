@@ -542,7 +542,7 @@ def _date(record: SessionRecord) -> str:
 
 
 def headline(history: History) -> str:
-    """Return one line on a history: number of sessions, drifting quantities, signals of control charts."""
+    """Return one line on a history: sessions, drifts, scatter beyond u, signals of control charts."""
     names = {NAMES.get(name, name): track for name, track in history.tracks.items()}
     charts = {name: track.chart for name, track in names.items() if track.chart is not None}
     moving = [name for name, track in names.items() if track.drifts]
@@ -550,6 +550,9 @@ def headline(history: History) -> str:
     outside = [name for name, chart in charts.items() if chart.outside]
     parts = [counted(len(history.sessions), "session")]
     parts.append(f"drift in {', '.join(moving)}" if moving else "no drift shown")
+    scatter = {name: track.drift.birge_p for name, track in names.items() if track.drift is not None}
+    if beyond := [name for name, p in scatter.items() if p * len(scatter) <= DRIFTING]:
+        parts.append(f"scatter beyond u in {', '.join(beyond)}")
     if signals:
         parts.append(f"control chart signals {', '.join(signals)}")
     if outside:
