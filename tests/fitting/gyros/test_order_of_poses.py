@@ -1,8 +1,10 @@
 """What the order of poses does not tell: a fit of gyros says it, for every course of the zero rate."""
 
 import numpy as np
+import pytest
 
 from adis_gonio import Dwell, Session, fit
+from adis_gonio.base.uncertainty import effective_dof
 
 DWELL_S = 10.0
 
@@ -65,3 +67,16 @@ def test_u_contains_a_typical_g_sensitivity_that_the_poses_do_not_show():
         zero = found[f"gyro_bias_{axis}"]
         assert 0.05 < zero.U < 0.3
         assert abs(zero.value) < zero.U
+
+
+def test_a_typical_size_is_known_and_adds_no_doubt_to_u():
+    up, rng = np.tile(np.eye(3), (3, 1)), np.random.default_rng(3)
+    found = fit(session_of(up, rng.normal(0, 0.05, 9), rng), part="gyro")
+    assert min(found.inflation.values()) > 10
+    # A zero rate is the mean of six dwells along two axes, each with an unknown g-sensitivity.
+    typical = 2 * (0.05 / 2) ** 2
+    for axis in "xyz":
+        zero = found[f"gyro_bias_{axis}"]
+        parts = [(zero.u**2 - typical, 9 - 2), (typical, np.inf)]
+        assert zero.dof == pytest.approx(effective_dof(parts), rel=1e-3)
+        assert zero.dof > 20

@@ -30,7 +30,7 @@ from adis_gonio.base.arrays import Floats, central_differences, solvable
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.uncertainty import INADEQUATE, Value
+from adis_gonio.base.uncertainty import INADEQUATE, Value, effective_dof
 from adis_gonio.calibrate.gyro_calibration import UNIT_OF, GyroCalibration, gyro_directions
 from adis_gonio.fitting import determination
 from adis_gonio.fitting.estimation.fit import Fit, adequacy
@@ -306,17 +306,17 @@ def fit_gyro_readings(data: Readings, *, scored: bool = True) -> GyroFit:
         if set(best.determined[0]) <= set(models[name].determined[0]):
             best = models[name]
             break
-    names, values, covariance = best.determined
+    names, values, covariance, known = best.determined
     for name, share in odds.items():
         other = dict(zip(*models[name].reported[:2], strict=True))
         apart = np.array([other[key] for key in names]) - values
         covariance = covariance + share / sum(odds.values()) * np.outer(apart, apart)
     fit, inflation = best.fit, {axis: own for axis, (own, _) in best.inflation.items()}
-    u = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
-    parameters = {
-        name: Value(value, own, UNIT_OF[name], best.inflation[_gyro_of(name)][1])
-        for name, value, own in zip(names, values.tolist(), u, strict=True)
-    }
+    variances = np.column_stack([np.maximum(np.diag(covariance), known), known])
+    parameters = {}
+    for name, value, (whole, sure) in zip(names, values.tolist(), variances.tolist(), strict=True):
+        dof = effective_dof([(whole - sure, best.inflation[_gyro_of(name)][1]), (sure, math.inf)])
+        parameters[name] = Value(value, math.sqrt(whole), UNIT_OF[name], dof)
     temperature = data.conditions.temperature_c
     return GyroFit(
         parameters=parameters,
@@ -427,11 +427,13 @@ class _Model:
         return out
 
     @cached_property
-    def reported(self) -> tuple[list[str], Floats, Floats]:
-        """Names, values (p,) and covariance (p, p) of the parameters that a result states.
+    def reported(self) -> tuple[list[str], Floats, Floats, Floats]:
+        """Names, values (p,), covariance (p, p) and known variances (p,) of the parameters of a result.
 
         The covariance follows the residual if it is larger than the noise. If the model has a drift, a zero
-        rate is its mean over the dwells. Fixed parameters have the values of perfect gyros.
+        rate is its mean over the dwells. Fixed parameters have the values of perfect gyros. The covariance
+        includes the known variances, which the readings do not estimate: those by the typical sizes of
+        fixed parameters and by the time base.
         """
         factor = np.sqrt([self.inflation.get(_gyro_of(name), (1.0, 0.0))[0] for name in self.names])
         mean = np.eye(len(self.names))
@@ -442,20 +444,22 @@ class _Model:
         typical, linear = np.array([(0.0, True)] * (len(mean) - len(own)) + own).T
         # Shift of the free parameters if a fixed parameter has its typical size.
         shift = mean @ covariance @ (information * np.where(self.free | ~self.stated, 0.0, typical))
-        covariance = mean @ (covariance * np.outer(factor, factor)) @ mean.T + shift @ shift.T
+        covariance = mean @ (covariance * np.outer(factor, factor)) @ mean.T
         # A drift is proportional to its amplitudes, and not to its time constant.
         values = mean @ (self.fit.values.parameters * linear)
         names, stated, covariance = stated_parameters(self.names, values, covariance, self.stated)
+        _, _, known = stated_parameters(self.names, values, shift @ shift.T, self.stated)
         # All gains share the error of the time base.
         gains = np.where([name.startswith("gyro_scale_") for name in names], TIME_BASE_U * stated, 0.0)
-        return names, stated, covariance + np.outer(gains, gains)
+        known += np.outer(gains, gains)
+        return names, stated, covariance + known, np.diag(known)
 
     @cached_property
-    def determined(self) -> tuple[list[str], Floats, Floats]:
-        """Names, values and covariance of the parameters in `reported` that the readings determine."""
-        names, values, covariance = self.reported
+    def determined(self) -> tuple[list[str], Floats, Floats, Floats]:
+        """The entries of `reported` for the parameters that the readings determine."""
+        names, values, covariance, known = self.reported
         kept = np.flatnonzero(self.free[self.stated])
-        return [names[k] for k in kept], values[kept], covariance[np.ix_(kept, kept)]
+        return [names[k] for k in kept], values[kept], covariance[np.ix_(kept, kept)], known[kept]
 
     @cached_property
     def stated(self) -> NDArray[np.bool_]:
