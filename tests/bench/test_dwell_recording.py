@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from adis_gonio.bench.dwell_recorder import Recording, problems
 from adis_gonio.bench.guards import judge_dwell
+from adis_gonio.device.sensor.registers import ACCEL_OUT, TEMP_OUT
 from adis_gonio.device.sensor.settings import ScanBlock, Status
 from adis_gonio.record.blocks import ValueBlock
 from adis_gonio.record.plans import Position
@@ -101,6 +104,23 @@ def test_a_supply_out_of_range_in_one_scan_is_told_with_its_limits(wrong_v):
     assert (found.kind, found.place) == ("supply", 3)
     assert f"between {min(5.0, wrong_v):.2f}" in found.message
     assert found.message.endswith("the part needs 4.75 to 5.25 V")
+
+
+@pytest.mark.parametrize(("wrong_c", "limit"), [(130.0, "85"), (-45.0, "−40")])
+@pytest.mark.parametrize("name", TEMP_OUT)
+def test_a_temperature_out_of_range_on_one_die_is_told_and_asked_about_once(name, wrong_c, limit):
+    names = (*ACCEL_OUT, *TEMP_OUT)
+    words = np.zeros((20, 6), np.uint16)  # 25 °C
+    words[10:, names.index(name)] = round((wrong_c - 25) / 0.1453) & 0x0FFF
+    block = ScanBlock(names, words, np.arange(20) / 10)
+    (found,) = problems(3, block, None)
+    assert (found.kind, found.place) == ("temperature", 3)
+    assert name in found.message
+    assert limit in found.message
+    (guard,) = judge_dwell(block, [found])
+    assert (guard.kind, guard.message) == ("temperature", found.message)
+    words[:, 3:] = round((84.0 - 25) / 0.1453)
+    assert problems(3, replace(block, words=words), None) == []
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import numpy as np
 
 from adis_gonio.base.arrays import Floats
 from adis_gonio.base.errors import SessionError
-from adis_gonio.base.numbers import counted
+from adis_gonio.base.numbers import counted, use_minus
 from adis_gonio.bench.dialogue import Questions, Reply
 from adis_gonio.bench.events import (
     DwellDone,
@@ -28,7 +28,7 @@ from adis_gonio.bench.events import (
 from adis_gonio.bench.guards import drift_guard, judge_dwell, judge_shift
 from adis_gonio.bench.recorder import BROKEN_STREAM, Recorder
 from adis_gonio.bench.session_state import vector
-from adis_gonio.device.sensor.registers import SUPPLY_LIMITS_V
+from adis_gonio.device.sensor.registers import SUPPLY_LIMITS_V, TEMP_OUT, TEMPERATURE_LIMITS_C
 from adis_gonio.device.sensor.settings import ScanBlock, Status
 from adis_gonio.record.archive_tables import Attempt, Move, Outcome, Phase
 from adis_gonio.record.blocks import WITHOUT_NEWS, Block, count_alarms, cut, find_alarms, join
@@ -480,8 +480,15 @@ class DwellRecorder(Recorder):
         return self._ledger.problem(problem)
 
 
+_RANGES: dict[str, tuple[Literal["supply", "temperature"], tuple[float, float], str]] = {
+    "SUPPLY_OUT": ("supply", SUPPLY_LIMITS_V, "V"),
+    **dict.fromkeys(TEMP_OUT, ("temperature", TEMPERATURE_LIMITS_C, "°C")),
+}
+"""Kind of problem, limits and unit of a reading outside its limits, by register."""
+
+
 def problems(place: int, scans: Block, status: Status | None) -> list[Problem]:
-    """List the problems of a dwell for the operator: STATUS, alarms, supply, lost and dropped scans.
+    """List the problems of a dwell for the operator: STATUS, alarms, supply, temperature, lost scans.
 
     `place` is the index of its position in the plan; `status` is None without a register STATUS.
     """
@@ -491,18 +498,19 @@ def problems(place: int, scans: Block, status: Status | None) -> list[Problem]:
     if alarms is not None:
         why = "" if messages else "; it has passed: the bits of over-range and supply clear automatically"
         found.append(Problem("alarm", f"{alarms}{why}", place))
-    if isinstance(scans, ScanBlock) and "SUPPLY_OUT" in scans.registers:
-        supply = scans.supply_v
-        low, high = SUPPLY_LIMITS_V
-        if supply.min() < low or supply.max() > high:
-            text = f"the supply was between {supply.min():.3f} and {supply.max():.3f} V; the part needs"
-            found.append(Problem("supply", f"{text} {low} to {high} V", place))
+    for name, (kind, (low, high), unit) in _RANGES.items():
+        if isinstance(scans, ScanBlock) and name in scans.registers:
+            values = scans.column(name)
+            if values.min() < low or values.max() > high:
+                text = f"the {kind} ({name}) was between {values.min():.3f} and {values.max():.3f} {unit}"
+                text += f"; the part needs {low:g} to {high:g} {unit}"
+                found.append(Problem(kind, use_minus(text), place))
     gaps: tuple[tuple[Literal["lost", "dropped"], int, str], ...] = (
         ("lost", scans.lost, "lost on the bus"),
         ("dropped", scans.dropped, f"left out: {WITHOUT_NEWS}"),
     )
-    for kind, count, what in gaps:
+    for gap, count, what in gaps:
         if count:
             share = 100.0 * count / (len(scans) + count)
-            found.append(Problem(kind, f"{counted(count, 'scan')} ({share:.2g} %) {what}", place))
+            found.append(Problem(gap, f"{counted(count, 'scan')} ({share:.2g} %) {what}", place))
     return found

@@ -229,16 +229,16 @@ class Problem(Event):
 
     Attributes
     ----------
-    kind : {"status", "alarm", "supply", "lost", "dropped", "stillness"} or GuardKind
-        Kind of the problem. The kind of a guard means that the guard could not ask, because there is no
-        operator.
+    kind : {"status", "alarm", "lost", "dropped", "stillness"} or GuardKind
+        Kind of the problem. The kind of a guard other than `supply` and `temperature` means that the guard
+        could not ask, because there is no operator.
     message : str
         Sentence for the operator.
     place : int
         Index of the position in the plan, from 0.
     """
 
-    kind: Literal["status", "alarm", "supply", "lost", "dropped", "stillness"] | GuardKind
+    kind: Literal["status", "alarm", "lost", "dropped", "stillness"] | GuardKind
     message: str
     place: int
 

@@ -114,20 +114,22 @@ def drift_guard(why: str, values: dict[str, float] | None = None) -> Guard:
 def judge_dwell(scans: Block, problems: Sequence[Problem]) -> list[Guard]:
     """Return the questions about a complete dwell: alarms, supply, and sudden changes of temperature.
 
-    `problems` are the problems that were found in the dwell; only those of the kinds `supply` and `alarm`
-    give a question. Changes of temperature and supply are found in the scans.
+    `problems` are the problems that were found in the dwell; only problems of the kinds `supply`,
+    `temperature` and `alarm` give a question. Changes of temperature and supply are found in the scans.
     """
     guards = []
-    kinds: dict[str, GuardKind] = {"supply": "supply", "alarm": "over_range"}
+    kinds: dict[str, GuardKind] = {
+        "supply": "supply", "temperature": "temperature", "alarm": "over_range"
+    }  # fmt: skip
     found = [problem for problem in problems if problem.kind in kinds]
     if found:
         # A supply out of range also sets EA: it is the cause and comes first.
         found.sort(key=lambda problem: list(kinds).index(problem.kind))
         message = "; ".join(problem.message for problem in found)
         guards.append(Guard(kinds[found[0].kind], message, {"scans": float(count_alarms(scans))}))
-    series = block_series(scans)
+    series, asked = block_series(scans), {problem.kind for problem in found}
     for kind, column, unit, limit in _STEPS:
-        if column not in series or (kind == "supply" and guards):
+        if column not in series or kind in asked or (kind == "supply" and guards):
             continue
         step = greatest_step(scans.time_s, series[column])
         if step > limit:

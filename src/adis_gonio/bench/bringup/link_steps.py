@@ -28,6 +28,7 @@ from adis_gonio.device.sensor.registers import (
     REGISTERS,
     SUPPLY_LIMITS_V,
     TEMP_OUT,
+    TEMPERATURE_LIMITS_C,
     VARIANTS,
     Register,
     read_frames,
@@ -259,8 +260,6 @@ def _majority(words: Words) -> Words:
     return np.asarray((ones.astype(np.uint32) << np.arange(16)).sum(axis=1), np.uint16)
 
 
-TEMPERATURE_C = (-40.0, 85.0)
-"""Range of operation of the siblings in °C (data sheet, B)."""
 _SCANS = 256
 
 
@@ -287,7 +286,7 @@ def check_supply(bench: BringupBench, found: StepResult) -> Ending:
         bench.supply_ok = False
         wrong.append(f"the supply is {value[0]:.3f} V, the part needs {low} to {high} V")
     for axis, t, s in zip("XYZ", value[1:], u[1:], strict=True):
-        if not TEMPERATURE_C[0] - Z * s <= t <= TEMPERATURE_C[1] + Z * s:
+        if not TEMPERATURE_LIMITS_C[0] - Z * s <= t <= TEMPERATURE_LIMITS_C[1] + Z * s:
             wrong.append(f"{axis}TEMP_OUT says {t:.0f} °C")
     if standing.word:
         wrong.append(f"STATUS: {standing}")

@@ -323,10 +323,7 @@ def run_self_tests(bench: BringupBench, found: StepResult) -> Ending:
     ]
     # Answer of each axis to the negative stimulus: 0 none, 1 as to the positive one, −1 the opposite.
     answers = np.where(np.abs(minus) > limit, np.sign(plus * minus), 0)
-    for question, axes, right in (
-        ("self_test_accel", slice(0, 3), 0),
-        ("self_test_gyro", slice(3, 6), -1),
-    ):
+    for question, axes, right in (("self_test_accel", slice(0, 3), 0), ("self_test_gyro", slice(3, 6), -1)):
         if len({*answers[axes]}) > 1:
             wrong.append(f"{', '.join(names[axes])} answer differently to the negative stimulus")
         answer = answers[axes][0]

@@ -365,11 +365,7 @@ class ForwardingBus(SpiBus):
         self.virtual_time = bool(getattr(inner, "virtual_time", False))
 
     def forward(
-        self,
-        name: str,
-        action: Callable[[], T],
-        frames: Words | None = None,
-        arguments: Sequence[Any] = (),
+        self, name: str, action: Callable[[], T], frames: Words | None = None, arguments: Sequence[Any] = ()
     ) -> T:
         """Run `action`, which calls the method `name` of the inner bus, and return its result.
 

@@ -216,11 +216,7 @@ class ObservedBus(ForwardingBus):
         return _ObservedStream(self, super().stream(frames, block_scans=block_scans))
 
     def forward(
-        self,
-        name: str,
-        action: Callable[[], T],
-        frames: Words | None = None,
-        arguments: Sequence[Any] = (),
+        self, name: str, action: Callable[[], T], frames: Words | None = None, arguments: Sequence[Any] = ()
     ) -> T:
         """Run `action`, which calls the inner bus, and return its result; note the call under `name`.
 

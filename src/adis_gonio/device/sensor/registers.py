@@ -345,6 +345,9 @@ timing also keeps the limits of fast mode, so it is safe if the mode is unknown.
 SUPPLY_LIMITS_V = (4.75, 5.25)
 """Lower and upper limit of the specified supply voltage in V (DS, B)."""
 
+TEMPERATURE_LIMITS_C = (-40.0, 85.0)
+"""Lower and upper limit of the range of operation in °C (DS, B)."""
+
 FAST_UP_TO = 0x09
 """Largest SMPL_PRD, time-base bit included, at which the chip runs in fast mode (DS, A)."""
 
