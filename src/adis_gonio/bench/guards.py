@@ -118,9 +118,7 @@ def judge_dwell(scans: Block, problems: Sequence[Problem]) -> list[Guard]:
     `temperature` and `alarm` give a question. Changes of temperature and supply are found in the scans.
     """
     guards = []
-    kinds: dict[str, GuardKind] = {
-        "supply": "supply", "temperature": "temperature", "alarm": "over_range"
-    }  # fmt: skip
+    kinds: dict[str, GuardKind] = {"supply": "supply", "temperature": "temperature", "alarm": "over_range"}
     found = [problem for problem in problems if problem.kind in kinds]
     if found:
         # A supply out of range also sets EA: it is the cause and comes first.

@@ -100,8 +100,7 @@ def choose_channels(channels: Sequence[IioChannel], where: str) -> tuple[IioChan
         The device is not an accelerometer with three axes.
     """
     found = {channel.id: channel for channel in channels}
-    missing = [name for name in ACCELS if name not in found]
-    if missing:
+    if missing := [name for name in ACCELS if name not in found]:
         raise CannotOpenError(f"{where}: no accelerometer of three axes ({', '.join(missing)} missing)")
     chosen: dict[str, IioChannel] = {}
     for name, (column, _) in COLUMNS.items():

@@ -170,8 +170,7 @@ class _Run:
             self.found.stopped = True
 
     def _one(self, bench: BringupBench, step: BringupStep) -> StepResult:
-        refusal = bench.blocked or self._refusal(step)
-        if refusal:
+        if refusal := bench.blocked or self._refusal(step):
             return step.new_result(refusal)
         if step.effect in (SideEffect.WRITES, SideEffect.FLASH) and not self.permission.ask(step.question):
             return step.new_result("the answer to its question was no")

@@ -91,8 +91,7 @@ def measure_noise(bench: BringupBench, found: StepResult) -> Ending:
     lsb, _, units = scales(registers(names), sensor.variant, configuration.gyro_range_dps)
     expected = sensor.variant.performance.noise
     numbers = block.numbers().astype(np.float64)
-    stuck = [name for name, column in zip(names, numbers.T, strict=True) if not np.ptp(column)]
-    if stuck:
+    if stuck := [name for name, column in zip(names, numbers.T, strict=True) if not np.ptp(column)]:
         return Verdict.FAULT, f"{', '.join(stuck)} never changes: the axis does not work"
     judged = _by_spectrum(sensor.variant, numbers, m, rate, expected / lsb)
     sigma, u = judged.sigma * lsb, judged.u * lsb
@@ -109,13 +108,9 @@ def measure_noise(bench: BringupBench, found: StepResult) -> Ending:
     if judged.shape_off:
         wrong = ", ".join(names[k] for k in judged.shape_off)
         return Verdict.DIFFERS, f"the spectrum of {wrong} is not the filter's"
-    off = [k for k in range(6) if judged.level_off[k]]
-    if off:
-        return Verdict.DIFFERS, (
-            "; ".join(
-                f"{names[k]}: {sigma[k]:.3g} {units[k]} rms, the table says {expected[k]:g}" for k in off
-            )
-        )
+    if off := [k for k in range(6) if judged.level_off[k]]:
+        texts = (f"{names[k]}: {sigma[k]:.3g} {units[k]} rms, the table says {expected[k]:g}" for k in off)
+        return Verdict.DIFFERS, "; ".join(texts)
     mean_mg, mean_dps = float(np.mean(sigma[:3])), float(np.mean(sigma[3:]))
     return Verdict.OK, (
         f"{mean_mg:.2f} mg and {mean_dps:.3f} °/s rms unfiltered, as the table says, white behind the"
@@ -422,8 +417,7 @@ def check_flash_count(bench: BringupBench, found: StepResult) -> Ending:
     if not bench.supply_ok:
         raise NotMeasuredError("the supply is outside its limits, so that a flash update may fail")
     used = {"AUX_DAC": 0x0FFF, "GPIO_CTRL": 0x0003}  # a voltage, lines that are outputs
-    in_use = [name for name, bits in used.items() if bench.sensor.read(name) & bits]
-    if in_use:
+    if in_use := [name for name, bits in used.items() if bench.sensor.read(name) & bits]:
         raise NotMeasuredError(f"{' and '.join(in_use)} is in use, which a reset would drop")
     before = bench.sensor.read("ENDURANCE")
     bench.sensor.reset()

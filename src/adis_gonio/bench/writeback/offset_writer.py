@@ -576,6 +576,5 @@ def _format_numbers(numbers: dict[str, int]) -> str:
 
 
 def _require(now: dict[str, int], numbers: dict[str, int], what: str) -> None:
-    odd = [name for name, number in numbers.items() if now[name] != number]
-    if odd:
+    if odd := [name for name, number in numbers.items() if now[name] != number]:
         raise VerifyError(f"{', '.join(odd)} {what}; check the supply")

@@ -422,8 +422,7 @@ def _find_line(system: Kernel, url: str, line: str, folder: str) -> tuple[str, i
 
     `folder` is the folder of the device files.
     """
-    written = re.fullmatch(r"(gpiochip\d+):(\d+)", line)
-    if written:
+    if written := re.fullmatch(r"(gpiochip\d+):(\d+)", line):
         return f"{folder}/{written[1]}", int(written[2])
     names: dict[str, list[tuple[str, int]]] = {}
     for path in map(str, sorted(Path(folder).glob("gpiochip*"))):
