@@ -22,6 +22,7 @@ from adis_gonio.base.errors import (
 )
 from adis_gonio.device.bus import Capability
 from adis_gonio.device.bus.contract import ForwardingBus
+from adis_gonio.device.bus.recording import RecordingBus as FileRecordingBus
 from adis_gonio.device.sensor import DEFAULT_SCAN, Adis16354, Alarm
 from adis_gonio.device.sensor.driver import Undo
 from adis_gonio.device.sensor.registers import (
@@ -187,14 +188,32 @@ def test_the_check_takes_seconds_at_the_slowest_sample_rate_too():
         assert bus.now_s() - begin_s < 15.0
 
 
+def just_powered(smpl_prd: int, filter_m: int) -> SimBus:
+    """Return a bus whose chip has just got its supply and has these settings in flash."""
+    bus = open_bus(SIM)
+    sensor = Adis16354(bus)
+    sensor.configure(smpl_prd=smpl_prd, filter_m=filter_m)
+    sensor.save_to_flash()
+    bus.chip.hard_reset(bus.now_s())
+    return bus
+
+
 @pytest.mark.parametrize(("smpl_prd", "filter_m"), [(0x0A, 6), (0xA0, 2), (0xFF, 1)])
 def test_the_check_waits_for_a_filter_that_fills_after_power_on(smpl_prd, filter_m):
-    with open_bus(SIM) as bus:
-        sensor = Adis16354(bus)
-        sensor.configure(smpl_prd=smpl_prd, filter_m=filter_m)
-        sensor.save_to_flash()
-        bus.chip.hard_reset(bus.now_s())
-        Adis16354(bus)
+    Adis16354(just_powered(smpl_prd, filter_m)).close()
+
+
+@pytest.mark.parametrize(("smpl_prd", "filter_m"), [(0x90, 2), (0xA0, 3), (0xFF, 3)])
+def test_a_recording_of_an_opening_that_read_32_scans_without_a_wait_is_replayed(
+    tmp_path, monkeypatch, smpl_prd, filter_m
+):
+    with monkeypatch.context() as earlier:
+        check = "_check_variant"
+        earlier.setattr(Adis16354, check, lambda s, _: s.read_scans(32, ACCEL_OUT, data_ready=False))
+        with Adis16354(FileRecordingBus(just_powered(smpl_prd, filter_m), tmp_path / "old.rec")) as sensor:
+            expected = sensor.read_scans(2)
+    with open_sensor(f"replay:{tmp_path / 'old.rec'}") as sensor:
+        assert np.array_equal(sensor.read_scans(2).words, expected.words)
 
 
 def test_a_failed_opening_closes_the_bus(monkeypatch):

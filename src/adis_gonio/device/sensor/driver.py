@@ -470,13 +470,9 @@ class Adis16354(Closing):
         """
         if count < 1:
             raise UsageError(f"count is {count}: take 1 or more")
-        blocks: list[ScanBlock] = []
-        have, size = 0, min(count, block_scans)
+        size = min(count, block_scans)
         with self.stream(names, block_scans=size, leave_registers=True, data_ready=data_ready) as stream:
-            while have < count:
-                blocks.append(next(stream))
-                have += len(blocks[-1])
-        return join(blocks).first(count)
+            return _take(stream, count)
 
     def scan(self, names: Sequence[str | Register] = DEFAULT_SCAN) -> dict[str, float]:
         """Read one scan of new data, as values by register name in mg, °/s, °C and V."""
@@ -645,9 +641,8 @@ class Adis16354(Closing):
         fields = {
             f"source{number}": ALARM_SOURCES[source.name],
             f"rate{number}": int(alarm.rate_samples > 0),
-            "filtered": int(alarm.filtered),
         }
-        self.write_fields("ALM_CTRL", **fields)
+        self.write_fields("ALM_CTRL", filtered=int(alarm.filtered), **fields)
 
     def clear_alarm(self, number: int) -> None:
         """Switch alarm 1 or 2 off."""
@@ -702,11 +697,15 @@ class Adis16354(Closing):
         self.refuse_stimulus(self._msc_ctrl)
         # Polled: a line that is wrong must not keep the sensor from being opened.
         scans = min(CHECK_SCANS, max(3, int(CHECK_S * found.sample_rate_hz)))
-        for _ in range(2):
-            norms = np.linalg.norm(self.read_scans(scans, ACCEL_OUT, data_ready=False).numbers(), axis=1)
-            if norms[-1] <= (1 + PLAUSIBLE) * norms[0]:
-                break
-            self.bus.sleep_s(found.settling_s)  # after power-on the filter still fills
+        settled_s = self.bus.now_s() + found.settling_s
+        # One stream: the replay of a recording that did not wait here reads on in its scans.
+        with self.stream(ACCEL_OUT, block_scans=scans, leave_registers=True, data_ready=False) as stream:
+            while True:
+                begin_s = self.bus.now_s()
+                norms = np.linalg.norm(_take(stream, scans).numbers(), axis=1)
+                if norms[-1] <= (1 + PLAUSIBLE) * norms[0] or begin_s >= settled_s:
+                    break
+                self.bus.sleep_s(found.settling_s)  # after power-on the filter still fills
         norm_lsb = float(np.median(norms))
         if abs(norm_lsb / self.variant.one_g_lsb - 1) <= PLAUSIBLE:
             return
@@ -722,6 +721,16 @@ class Adis16354(Closing):
             f" ({norm_lsb:.0f} LSB, no known variant): keep the part still while opening, or open it"
             " without the check"
         )
+
+
+def _take(stream: ScanStream, count: int) -> ScanBlock:
+    """Read blocks from a stream until there are `count` scans, and return these scans."""
+    blocks: list[ScanBlock] = []
+    have = 0
+    while have < count:
+        blocks.append(next(stream))
+        have += len(blocks[-1])
+    return join(blocks).first(count)
 
 
 _TRIES = 4
