@@ -10,6 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from adis_gonio import open_bus, open_sensor
+from adis_gonio.base.budget import Budget, within
 from adis_gonio.base.errors import (
     AdisGonioError,
     BusError,
@@ -201,6 +202,18 @@ def just_powered(smpl_prd: int, filter_m: int) -> SimBus:
 @pytest.mark.parametrize(("smpl_prd", "filter_m"), [(0x0A, 6), (0xA0, 2), (0xFF, 1)])
 def test_the_check_waits_for_a_filter_that_fills_after_power_on(smpl_prd, filter_m):
     Adis16354(just_powered(smpl_prd, filter_m)).close()
+
+
+def test_a_wait_for_the_filter_is_told_within_seconds_and_how_long_it_takes():
+    bus, told = just_powered(0xFF, 6), []
+    begin_s = bus.now_s()
+    with within(Budget(tell=lambda text: told.append((bus.now_s() - begin_s, text)))):
+        sensor = Adis16354(bus)
+        assert [text.rpartition(", ")[2] for _, text in told] == ["7 s", "5 min 8 s"]
+        assert told[0][0] < 1 < told[1][0] < 15
+        assert 308 < bus.now_s() - begin_s < 340
+        sensor.configure(filter_m=5)
+    assert told[2][1].endswith("2 min 33 s")
 
 
 @pytest.mark.parametrize(("smpl_prd", "filter_m"), [(0x90, 2), (0xA0, 3), (0xFF, 3)])

@@ -245,3 +245,28 @@ def test_a_full_disk_leaves_the_old_page_of_a_board(tmp_path):
     assert process.returncode == 1
     assert "a.json: cannot be written: File too large" in said
     assert (tmp_path / "a.html").read_text(encoding="utf-8") == "old"
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["selftest", "sim:?seed=3"],
+        ["registers", "sim:?seed=3", "SMPL_PRD"],
+        ["stream", "sim:?seed=3", "--seconds", "0.1"],
+        ["angle", "sim:?seed=3", "--seconds", "0.5"],
+        ["calibrate", "sim:?seed=3", "--auto", "--dwell", "1", "-o", "q.session"],
+    ],
+    ids=lambda command: command[0],
+)
+def test_every_opening_of_a_sensor_reports_what_it_waits_for(command, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr("adis_gonio.device.sensor.driver.CHECK_S", 0.001)
+    monkeypatch.chdir(tmp_path)
+    assert main(command) == 0
+    assert "sim:?seed=3: reads 3 samples, 0 s" in capsys.readouterr().err
+
+
+def test_a_new_rate_of_a_stream_reports_that_the_filter_settles(capsys):
+    assert main(["stream", "sim:?seed=3", "--seconds", "0.1", "--filter", "6", "--rate", "0.413"]) == 0
+    told = " ".join(capsys.readouterr().err.split())
+    assert "sim:?seed=3: waits until the filter has settled, 5 min 8 s" in told
+    assert "reads 3" not in told

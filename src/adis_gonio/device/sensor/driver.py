@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adis_gonio.base import Closing
+from adis_gonio.base.budget import current
 from adis_gonio.base.errors import (
     AdisGonioError,
     ChipError,
@@ -30,7 +31,7 @@ from adis_gonio.base.errors import (
     VariantError,
     VerifyError,
 )
-from adis_gonio.base.numbers import use_minus
+from adis_gonio.base.numbers import format_duration, use_minus
 from adis_gonio.device.bus import Capability, SpiBus, open_bus
 from adis_gonio.device.sensor.registers import (
     ACCEL_OFF,
@@ -112,7 +113,10 @@ It allows ±2 % of scale and a bias of tens of mg; the next variant differs by a
 """
 CHECK_SCANS = 32
 CHECK_S = 4.0
-"""Time in s in which the check reads its `CHECK_SCANS` scans; at a slow sample rate it reads fewer."""
+"""Time in s in which the check reads its `CHECK_SCANS` scans; at a slow sample rate it reads fewer.
+
+A longer wait is reported when it begins.
+"""
 
 
 @dataclass(frozen=True)
@@ -130,6 +134,9 @@ class Quantity:
 
 def open_sensor(url: str, *, variant: str = "adis16354", check: bool = True) -> Adis16354:
     """Open the sensor behind a bus URL; use it as a context manager.
+
+    The check reads a few samples and, just after power-on, waits until the filter has settled: 5 minutes at
+    the slowest rate with the longest filter. The time limit of `base.budget.within` reports this wait.
 
     Parameters
     ----------
@@ -369,12 +376,9 @@ class Adis16354(Closing):
         if smpl_prd is not None:
             self.write("SMPL_PRD", smpl_prd)
         flags = {"data_ready": data_ready, "linear_g": linear_g, "origin": origin}
-        wanted = {name: int(value) for name, value in flags.items() if value is not None}
-        if wanted:
+        if wanted := {name: int(value) for name, value in flags.items() if value is not None}:
             self.write_fields("MSC_CTRL", **wanted)
-        done = self.configuration()
-        self.bus.sleep_s(done.settling_s)
-        return done
+        return self._settle(self.configuration())
 
     # -- scans ------------------------------------------------------------------------------------
 
@@ -692,11 +696,18 @@ class Adis16354(Closing):
         self.bus.configure(timing_for(found.smpl_prd))
         return found
 
+    def _settle(self, found: Configuration) -> Configuration:
+        """Wait until the filter of the configuration `found` has settled, and return `found`."""
+        _report_wait("waits until the filter has settled", found.settling_s)
+        self.bus.sleep_s(found.settling_s)
+        return found
+
     def _check_variant(self, found: Configuration) -> None:
         """Raise `VariantError` if the length of the reading at rest is not 1 g of the declared variant."""
         self.refuse_stimulus(self._msc_ctrl)
         # Polled: a line that is wrong must not keep the sensor from being opened.
         scans = min(CHECK_SCANS, max(3, int(CHECK_S * found.sample_rate_hz)))
+        _report_wait(f"reads {scans} samples", scans * found.sample_period_s)
         settled_s = self.bus.now_s() + found.settling_s
         # One stream: the replay of a recording that did not wait here reads on in its scans.
         with self.stream(ACCEL_OUT, block_scans=scans, leave_registers=True, data_ready=False) as stream:
@@ -705,12 +716,11 @@ class Adis16354(Closing):
                 norms = np.linalg.norm(_take(stream, scans).numbers(), axis=1)
                 if norms[-1] <= (1 + PLAUSIBLE) * norms[0] or begin_s >= settled_s:
                     break
-                self.bus.sleep_s(found.settling_s)  # after power-on the filter still fills
+                self._settle(found)  # after power-on the filter still fills
         norm_lsb = float(np.median(norms))
         if abs(norm_lsb / self.variant.one_g_lsb - 1) <= PLAUSIBLE:
             return
-        fits = [v.name for v in VARIANTS.values() if abs(norm_lsb / v.one_g_lsb - 1) <= PLAUSIBLE]
-        if fits:
+        if fits := [v.name for v in VARIANTS.values() if abs(norm_lsb / v.one_g_lsb - 1) <= PLAUSIBLE]:
             raise VariantError(
                 f"|a| at rest is {norm_lsb:.0f} LSB, so this is an {' or '.join(f.upper() for f in fits)},"
                 f" not an {self.variant.name.upper()} ({self.variant.one_g_lsb:.0f}): open it as variant"
@@ -721,6 +731,12 @@ class Adis16354(Closing):
             f" ({norm_lsb:.0f} LSB, no known variant): keep the part still while opening, or open it"
             " without the check"
         )
+
+
+def _report_wait(what: str, seconds: float) -> None:
+    """Report a wait of more than `CHECK_S`; the time limit of `base.budget.within` has the callback."""
+    if seconds > CHECK_S:
+        current().tell(f"{what}, {format_duration(seconds)}")
 
 
 def _take(stream: ScanStream, count: int) -> ScanBlock:

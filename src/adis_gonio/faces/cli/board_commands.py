@@ -11,7 +11,7 @@ from adis_gonio.base.errors import UsageError
 from adis_gonio.base.jsonable import json_text
 from adis_gonio.base.numbers import format_number, signed, use_minus
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import console, print_json, print_table, report_written, say
+from adis_gonio.faces.cli.show import console, opened, print_json, print_table, report_written, say
 from adis_gonio.faces.cli.terminal import on_terminal
 
 if TYPE_CHECKING:
@@ -188,8 +188,8 @@ def write_command(
         **{name: options[name] for name in ("save", "angle_deg", "dwell_s", "method", "gyros")},
         doubtful=options["even_if_inadequate"],
     )
-    variant = load(session).sensor
-    with free_hands(url) as (port, _), open_sensor(port, variant=variant, check=not no_check) as sensor:
+    chip = {"variant": load(session).sensor, "check": not no_check}
+    with free_hands(url) as (port, _), opened(open_sensor, port, **chip) as sensor:
         writer = OffsetWriter(sensor, session, settings, tell=say)
         state = writer.standing()
         if status:

@@ -13,7 +13,7 @@ from adis_gonio.base.errors import FitError, SessionError, UsageError
 from adis_gonio.base.numbers import counted
 from adis_gonio.base.output import check_output
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import WIDTH, console, print_json, report_progress, say
+from adis_gonio.faces.cli.show import WIDTH, console, opened, print_json, report_progress, say
 from adis_gonio.model.records import STANDARD_GRAVITY_MPS2
 
 if TYPE_CHECKING:
@@ -201,7 +201,7 @@ def _run(
     resume_by = shlex.join(["adis-gonio", "calibrate", url, "--resume", "-o", str(output)])
     with (
         free_hands(url) as (port, hands),
-        open_source(port, variant=options["variant"], check=not options["no_check"]) as sensor,
+        opened(open_source, port, variant=options["variant"], check=not options["no_check"]) as sensor,
     ):
         if hands is not None:
             sensor.url = url  # the port of the simulated board is no name to keep

@@ -20,7 +20,7 @@ from adis_gonio.device.sensor import REGISTERS, Adis16354, Register, open_sensor
 from adis_gonio.device.sensor.driver import MARK
 from adis_gonio.device.sensor.registers import CONFIDENCES, Kind, register
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import console, print_json, print_table, say
+from adis_gonio.faces.cli.show import console, opened, print_json, print_table, say
 
 if TYPE_CHECKING:
     from adis_gonio.handover.register_offsets import OffsetWord
@@ -65,7 +65,7 @@ def selftest_command(*, url: str, variant: str, no_check: bool, as_json: bool) -
     The outputs are unavailable for 35 ms. Reading STATUS clears it. The exit status is 1 if the test
     failed.
     """
-    with open_sensor(url, variant=variant, check=not no_check) as sensor:
+    with opened(open_sensor, url, variant=variant, check=not no_check) as sensor:
         before = sensor.status()
         after = sensor.self_test()
         supply = sensor.quantity("SUPPLY_OUT")
@@ -127,7 +127,7 @@ def serve_command(
         if not ipaddress.ip_address(address.partition("%")[0]).is_loopback:
             say("anybody who reaches this address can connect; there is no password")
 
-    with open_sensor(url, variant=variant, check=not no_check) as sensor:
+    with opened(open_sensor, url, variant=variant, check=not no_check) as sensor:
         tell = partial(click.echo, err=True)
         IioServer(sensor, host, port, allow_writes=allow_writes, tell=tell, ready=ready).run()
 
@@ -222,7 +222,7 @@ def registers_command(
         wanted = {offset.name: offset for offset in offsets}
         for reason in refused:
             say(f"not compared: {reason}")
-    with open_sensor(url, variant=variant, check=not no_check) as sensor:
+    with opened(open_sensor, url, variant=variant, check=not no_check) as sensor:
         # All values are parsed before the first one is written.
         numbers = [(row, _parse_number(sensor, row, text)) for row, text in writes]
         for row, number in numbers:

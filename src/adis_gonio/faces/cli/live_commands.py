@@ -21,7 +21,7 @@ from adis_gonio.base.uncertainty import NORMAL_95
 from adis_gonio.device.sensor import DEFAULT_SCAN, open_sensor
 from adis_gonio.device.sensor.registers import registers
 from adis_gonio.faces.cli import options as option
-from adis_gonio.faces.cli.show import say
+from adis_gonio.faces.cli.show import opened, report_waits, say
 from adis_gonio.faces.cli.terminal import Interrupt
 from adis_gonio.live.live_angle import LiveAngle, live_angles, open_live
 from adis_gonio.live.motion_model import LAG_S
@@ -130,10 +130,12 @@ def _open_stream(
         source = stack.enter_context(open_source(url))
         configured = source.configure(Settings()).as_dict()
         return source.part.name, configured, partial(source.samples, Settings())
-    sensor = stack.enter_context(open_sensor(url, variant=chip["variant"], check=not chip["no_check"]))
+    check = not chip["no_check"]
+    sensor = stack.enter_context(opened(open_sensor, url, variant=chip["variant"], check=check))
     rate_hz, filter_m, range_dps = (chip[name] for name in configured_by)
     if not (rate_hz is filter_m is range_dps is None):
-        sensor.configure(sample_rate_hz=rate_hz, filter_m=filter_m, gyro_range_dps=range_dps)
+        with report_waits(url):
+            sensor.configure(sample_rate_hz=rate_hz, filter_m=filter_m, gyro_range_dps=range_dps)
 
     def stream(block_scans: int) -> SampleStream:
         return sensor.stream(
@@ -317,10 +319,8 @@ def angle_command(
 
         calibration = load_calibration(calibration_path)
 
-    data_ready = False if poll else None
-    with open_live(
-        url, variant=variant, check=not no_check, data_ready=data_ready, gyros=not no_gyro
-    ) as source:
+    chip = {"variant": variant, "check": not no_check, "data_ready": False if poll else None}
+    with opened(open_live, url, gyros=not no_gyro, **chip) as source:
         rate = f"{source.measuring.sample_rate_hz:.4g} samples/s"
         say(f"{url.removesuffix(':')}: {rate}, {source.stream.how}; angles ± U (95 %)")
         last_s = math.inf if seconds is None else seconds - source.measuring.sample_period_s

@@ -6,12 +6,12 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Container, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from itertools import count
 from pathlib import Path
 from textwrap import TextWrapper
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import click
 from rich.cells import cell_len
@@ -210,6 +210,9 @@ def report_times_s() -> Iterator[float]:
     yield from (300.0 * k for k in count(1))
 
 
+T = TypeVar("T")
+
+
 class Work:
     """Describes the progress of a long computation.
 
@@ -258,6 +261,24 @@ def report_progress(what: str) -> Iterator[None]:
     progress = _on_terminal(work, screen) if screen.is_terminal else _in_log(work)
     with progress, within(Budget(tell=work.tell, share=work.share)):
         yield
+
+
+@contextmanager
+def report_waits(url: str) -> Iterator[None]:
+    """Context that reports long waits for the sensor behind `url` on standard error, when they begin."""
+    from adis_gonio.base.budget import Budget, within
+
+    with within(Budget(tell=lambda wait: say(f"{url}: {wait}"))):
+        yield
+
+
+@contextmanager
+def opened(opening: Callable[..., AbstractContextManager[T]], url: str, **options: Any) -> Iterator[T]:
+    """Context with the sensor `opening(url, **options)`; report long waits until it is open."""
+    with ExitStack() as stack:
+        with report_waits(url):
+            sensor = stack.enter_context(opening(url, **options))
+        yield sensor
 
 
 @contextmanager
