@@ -1,10 +1,12 @@
 """The harmless steps over every bridge's fake: what a bridge has not is said, never guessed."""
 
+import itertools
+
 import pytest
 
 from adis_gonio.bench.bringup import STEPS, Verdict, bring_up
 from adis_gonio.sim.chip import State
-from fakes.benches import open_bridge
+from fakes.benches import StoppedHost, open_bridge
 
 NAMES = ("link", "timing", "supply", "variant", "sample rate", "data-ready")
 
@@ -39,6 +41,18 @@ def test_a_bridge_that_only_counts_edges_says_what_it_cannot_tell(kind):
     assert "edges" in found.row("data-ready").text
     assert "not measured, this bridge starts no scans at the edge" in found.row("data-ready").text
     assert found.answers["data_ready_edge"].outcome == "not measured"
+
+
+def test_a_host_that_stops_at_any_time_finds_no_fault_of_the_data_ready_line():
+    steps = tuple(step for step in STEPS if step.name == "data-ready")
+    for at in itertools.count(1):
+        bus, _ = open_bridge("cp2130", "?event_counter=1")
+        bus._clock = clock = StoppedHost(bus._clock, at)
+        with bus:
+            assert bring_up(bus, steps=steps).row("data-ready").verdict is Verdict.OK, at
+        if clock.looks < at:
+            break
+    assert at > 50
 
 
 @pytest.mark.parametrize("options", ["", "?edge=rising"])
