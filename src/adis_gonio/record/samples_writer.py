@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -205,13 +205,15 @@ class SamplesRecorder(Closing):
         Title for the head of the file; empty for a general title.
     filter_m : int or None
         Exponent M of the chip's filter, for the head of the file; None for another sensor.
+    force : bool
+        True: the first block replaces an existing file.
 
     Attributes
     ----------
     path : Path
         Path of the file, which ends in .csv or .csv.gz.
-    rows, lost : int
-        Number of scans written so far, and of scans that were lost between them.
+    rows : int
+        Number of scans written so far.
     notes : list of str
         Remarks for the reader of the file, written before its first row.
 
@@ -229,14 +231,14 @@ class SamplesRecorder(Closing):
         gravity_mps2: float = records.STANDARD_GRAVITY_MPS2,
         title: str = "",
         filter_m: int | None = None,
+        force: bool = False,
     ) -> None:
-        if path.exists():
+        if path.exists() and not force:
             raise exists_error(path)
         if not ends_in(path, ".csv", ".csv.gz"):
             raise UsageError(f"{path}: a recording is named .csv or .csv.gz")
         self.path = path
         self.rows = 0
-        self.lost = 0
         self._size = 0
         self.notes: list[str] = []
         stated = {
@@ -248,10 +250,11 @@ class SamplesRecorder(Closing):
             "plane": "none",
         }
         self._header = _leading_lines(stated if filter_m is None else {**stated, "filter_m": filter_m})
-        self._file = path.open("xb")
+        self._file: IO[bytes] = io.BytesIO()
+        """The open file; until the first block an empty one in memory, so that an old file stays."""
 
     def add(self, block: Block) -> None:
-        """Append the samples of a block to the file."""
+        """Append the samples of a block to the file, which the first block creates."""
         columns, text = records.Dwell(0, block.time_s, **block_series(block)).columns(), io.StringIO()
         del columns["position"]
         if not self._size:
@@ -265,6 +268,8 @@ class SamplesRecorder(Closing):
         # Each block is a gzip member of its own, so that the file is complete after every block.
         data = gzip.compress(data, mtime=0) if ends_in(self.path, ".gz") else data
         try:
+            if not self._size:
+                self._file = self.path.open("wb")
             self._file.write(data)
             self._file.flush()
         except OSError as error:
@@ -277,7 +282,6 @@ class SamplesRecorder(Closing):
             raise OutputError(f"{self.path}: {error.strerror or error}; {kept}") from error
         self._size += len(data)
         self.rows += len(block)
-        self.lost += block.lost
 
     def close(self) -> None:
         """Close the file; may be called twice."""

@@ -101,3 +101,24 @@ def test_no_command_writes_over_the_file_that_it_reads(session, capsys):
 def test_a_missing_folder_of_a_fleet_is_refused(tmp_path, capsys):
     assert main(["fleet", str(tmp_path / "none")]) == 2
     assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["stream", "serial:/dev/no-such-port", "-o", "old.csv"],
+        ["stream", SIM, "--sensor", "adis16350", "-o", "old.csv"],
+        ["stream", SIM, "--registers", "XGYRO_OUT", "--seconds", "0.5", "-o", "old.csv"],
+        ["simulate", "--effect", "no_such_effect", "-o", "old.session"],
+        ["simulate", "--set", "no_such_setting=1", "-o", "old.session"],
+        ["simulate", "--like", "old.json", "-o", "old.csv"],
+    ],
+)
+def test_force_keeps_the_old_file_if_a_command_measures_nothing(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    old = tmp_path / command[-1]
+    (tmp_path / "old.json").write_text("no session")
+    old.write_text("mine")
+    assert main([*command, "--force"]) != 0
+    assert old.read_text() == "mine"
+    assert {path.name for path in tmp_path.iterdir()} == {"old.json", old.name}

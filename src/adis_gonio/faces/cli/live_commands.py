@@ -61,7 +61,7 @@ MISFIT = (
 @option.url
 @click.option("--registers", "names", help="Registers to scan, separated by commas.", metavar="NAME,…")
 @option.seconds
-@option.output("Record every scan to .csv[.gz].", at_once=True)
+@option.output("Record every scan to .csv[.gz].")
 @click.option("--rate", "rate_hz", type=float, metavar="HZ", help="Samples per second, 0.413 to 819.2.")
 @click.option(
     "--filter", "filter_m", type=int, metavar="M", help="Filter: two passes of 2^M taps, M from 0 to 6."
@@ -99,11 +99,11 @@ def stream_command(
         if output is not None:
             from adis_gonio.record.samples_writer import SamplesRecorder
 
-            recorder = stack.enter_context(
-                SamplesRecorder(
-                    output, part, gravity_mps2=gravity_mps2, title=f"stream {url}", filter_m=filter_m
-                )
+            title = f"stream {url}"
+            recorder = SamplesRecorder(
+                output, part, gravity_mps2=gravity_mps2, title=title, filter_m=filter_m, force=True
             )
+            stack.enter_context(recorder)
         show = ShownStream(max(1, round(LINE_S * rate_hz)), recorder)
         stack.callback(show.print_totals)  # also after a failure: the earlier scans remain
         stream = stack.enter_context(open_stream(min(show.scans_a_line, 1024)))
@@ -202,7 +202,7 @@ class ShownStream:
         self._lost += block.lost
         self._dropped += block.dropped
         self._alarms += count_alarms(block)
-        if self._recorder is not None:
+        if self._recorder is not None and len(block):
             if caveat and not self._recorder.rows:
                 self._recorder.notes = [caveat]
             self._recorder.add(block)
@@ -220,7 +220,9 @@ class ShownStream:
     def print_totals(self) -> None:
         """Print the number of scans, the number of lost scans, and the recorded file if any."""
         recorder = self._recorder
-        where = "" if recorder is None else f", {counted(recorder.rows, 'row')} in {recorder.path}"
+        where = (
+            f", {counted(recorder.rows, 'row')} in {recorder.path}" if recorder and recorder.rows else ""
+        )
         more = f", {self._dropped} left out without new data (ND)" if self._dropped else ""
         more += f", {self._alarms} with an error or alarm in STATUS (EA)" if self._alarms else ""
         say(f"{counted(self._scans, 'scan')}, {self._lost} lost{more}{where}")

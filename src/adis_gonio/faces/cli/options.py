@@ -169,22 +169,19 @@ def output(
     help: str,
     *,
     paths: Callable[[Any], Iterable[Path]] = lambda given: (given,),
-    at_once: bool = False,
     name: str = "output",
     **more: Any,
 ) -> Option[Any]:
     """Return a decorator with the options `-o` for the file to write, and `--force` to replace it.
 
     `help` is the help text of `-o`; `more` goes to `click.option`. A file that exists is refused before the
-    command begins. The command gets the file only.
+    command begins, unless `--force` is given. The command gets the file only, and replaces it when it has
+    something to write.
 
     Parameters
     ----------
     paths : callable
         Returns the files that the command writes for the given path; by default only that path.
-    at_once : bool
-        True: `--force` removes an existing file before the command begins. False: the file stays until the
-        new file is complete.
     name : str
         Name of the command's argument.
     """
@@ -202,8 +199,6 @@ def output(
                 check_output(path, force=force)
                 if any(path.exists() and one.exists() and path.samefile(one) for one in inputs):
                     raise UsageError(f"{path}: the command reads this file; name another one for -o")
-                if at_once and path.is_file():
-                    path.unlink()
             return function(**arguments)
 
         force = flag("--force", help="Replace an existing file.")

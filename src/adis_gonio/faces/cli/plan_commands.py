@@ -220,7 +220,7 @@ def _setting_rows() -> list[tuple[str, str]]:
 )
 @option.output(
     "File to write: .csv or .csv.gz for samples without the truth, else a session file with the truth.",
-    required=True, at_once=True,
+    required=True,
 )  # fmt: skip
 @option.with_default("--plan", "plan_name", default="four-position", help="A plan by name, or a plan file.")
 @option.positions
@@ -281,6 +281,7 @@ def simulate_command(*, output: Path, date: datetime | None, **options: Any) -> 
     ):
         archive = Path(folder) / "simulated.session" if as_csv else output
         world = sensor.bus.world  # type: ignore[attr-defined]  # the simulator's bus has one
+        archive.unlink(missing_ok=True)
         runner = SessionRunner.begin(
             sensor,
             archive,
