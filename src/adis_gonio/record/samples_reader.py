@@ -496,7 +496,7 @@ def _dwells_by_stillness(file: str, recording: Dwell, filter_m: int) -> tuple[li
     if not slices and not free:
         raise DataError(
             f"{file}: no dwell found: {'; '.join(notes) or 'the sensor never rests'}; "
-            "add a column 'position' or record at least one second at rest in each position"
+            "add a column 'position' or let the part rest longer in each position"
         )
     if free:
         notes.append("one continuous turn without declared angles: taken as a free turn")

@@ -83,7 +83,8 @@ def segment_with_notes(
     # Without a filter one sample settles, so that a window has at least eight samples.
     window = max(round(WINDOW_S / period), SETTLINGS_PER_WINDOW * filter_settling_samples(filter_m))
     # Half a window: two runs with only one window between them then share no rows.
-    trim, least = max(window // 2, round(TRIM_S / period)), max(2 * window, round(LEAST_S / period))
+    trim = max(window // 2, round(TRIM_S / period))
+    least = max(2 * _LEAST_WINDOW, window, round(LEAST_S / period))
     if n < least:
         return [], [
             f"the recording lasts {n * period:.2g} s; a dwell needs at least {least * period:.2g} s"

@@ -168,7 +168,7 @@ def test_a_full_disk_leaves_whole_rows_and_names_the_file_with_their_number(tmp_
 
 def test_a_recording_keeps_the_filter(tmp_path, capsys):
     out = tmp_path / "rest.csv.gz"
-    words = ["stream", "sim:?seed=1", "--filter", "4", "--rate", "100", "--seconds", "3", "-o", str(out)]
+    words = ["stream", "sim:?seed=1", "--filter", "4", "--rate", "100", "--seconds", "6", "-o", str(out)]
     assert main(words) == 0
     assert load_session(out).filter_m == 4
     assert main(["allan", str(out)]) == 0
