@@ -242,16 +242,19 @@ def test_two_positions_say_which_bias_was_assumed_and_give_angles_by_the_ratio(m
     assert np.abs(wrapped(calibration.angle(accel).angle_deg - PSI)).max() < 0.05
 
 
-@pytest.mark.parametrize("method", ["paper", "two-position"])
+@pytest.mark.parametrize("method", ["paper", "two-position", "trace"])
 def test_u_of_an_angle_from_two_positions_covers_the_biases_that_they_do_not_show(method):
     rng = np.random.default_rng(7)
     parts = []
     for _ in range(40):
         bias = tuple(10.0 * rng.standard_normal(2))  # initial bias of the ADIS16354, 1 sigma (D)
         session = planar_session(rng, alpha_deg=5.0, delta_phi_deg=0.05, bias=bias, angles_deg=(0, 90))
-        result = adis_gonio.fit(replace(session, sensor="adis16354"), method=method)
+        part = replace(session, sensor="adis16354")
+        result = adis_gonio.trace(part) if method == "trace" else adis_gonio.fit(part, method=method)
         accel = read_mg(turn(PSI), gains=(1.01, 0.99), axes=plane_axes(0.05), bias=bias)
-        shown = result.calibration().angle(accel)
+        calibration = result.calibration()
+        assert {"bias_x", "bias_y"} <= set(calibration.assumed)
+        shown = calibration.angle(accel)
         parts.append(wrapped(shown.angle_deg - PSI) / shown.u_deg)
     rms = np.sqrt(np.mean(np.square(parts), axis=0))
     # 80 draws: a standard deviation is known to 11 % at best.

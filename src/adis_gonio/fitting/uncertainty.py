@@ -493,19 +493,16 @@ def _model(
     `response` (p, n, axes) is the derivative of the parameters by each reading. The source covers a
     residual beyond the noise, the biases and skews with the indices `held`, which were taken as zero, and
     the `unseen` changes of the parameters along undetermined directions.
-    Numbers in the offset registers may compensate a bias, or add to it: their size is part of the u of the
-    bias.
     """
     axes = data.axes
     extra = _by_dwell(response, np.tile(noise.extra_mg * np.eye(axes), (len(data), 1, 1)))
     figures = VARIANTS[data.sensor].performance if data.sensor in VARIANTS else None
-    figure = 0.0 if figures is None else figures.initial_bias_mg
     skew_u_rad = 0.0 if figures is None else figures.skew_u_rad
     # Indices of the biases among the axes, and of the skews among the base parameters.
     base = len(data.model.parameters)
     no_bias, no_skew = [k - base for k in held if k >= base], [k for k in held if k < base]
     offsets_mg = np.array(data.offset_mg[:axes])
-    sizes = np.hypot(figure, offsets_mg)
+    sizes = data.unseen_bias_mg
     biases = np.tile(np.diag(sizes)[:, no_bias], (len(data), 1, 1))
     skews = skew_u_rad * fit.base_columns[:, :, no_skew]
     missing = np.zeros((len(data), axes, 0))
@@ -519,7 +516,7 @@ def _model(
         notes.append("scatter beyond the noise within the dwells, and effects of the catalogue")
     if no_bias:
         letters = ", ".join("xyz"[axis] for axis in no_bias)
-        size = f"{figure:g} mg, figure of the part" if figure else unstated
+        size = f"{figures.initial_bias_mg:g} mg, figure of the part" if figures else unstated
         if offsets_mg[no_bias].any():
             numbers = join_words([f"{signed(mg, 1)} mg" for mg in offsets_mg[no_bias]])
             size += f"; offset registers {numbers}"

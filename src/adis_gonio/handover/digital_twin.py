@@ -92,8 +92,7 @@ def noise_of(session: Session, unit: Unit) -> SamplesNoise:
     stated = session.facts.get("configuration") or {}
     if "smpl_prd" not in stated:  # a generic sensor has no settings, and a CSV does not state them
         stated = {}
-    slowest, fastest = 1 / sample_period_s(0xFF), 1 / sample_period_s(1)
-    nearest = smpl_prd_for(min(max(1 / period_s, slowest), fastest))
+    nearest = smpl_prd_for(1 / min(max(period_s, sample_period_s(1)), sample_period_s(0xFF)))
     smpl_prd = int(stated.get("smpl_prd", nearest))
     # White noise of that density at the sample rate of the chip.
     white = np.sqrt(density / sample_period_s(smpl_prd))
@@ -455,10 +454,7 @@ def twin_section(session: Session, traced: TraceResult, *, seed: int = 0) -> Sec
     )
     return Section(
         title="The digital twin against the measured data",
-        words=(
-            "A simulated sensor with the traced model was measured in the positions and at the times of the"
-            " session. " + verdict,
-        ),
+        words=(f"A simulated sensor with the traced model repeats the positions and times. {verdict}",),
         folded=True,
         figures=tuple(_figures(found)),
         tables=(Table(("figure", "value"), rows, numeric=(1,)),),
@@ -466,10 +462,7 @@ def twin_section(session: Session, traced: TraceResult, *, seed: int = 0) -> Sec
 
 
 def _figures(found: TwinComparison) -> list[Figure]:
-    roles: tuple[tuple[str, Role, Style], ...] = (
-        ("measured", "before", "points"),
-        ("twin", "after", "line"),
-    )
+    roles: list[tuple[str, Role, Style]] = [("measured", "before", "points"), ("twin", "after", "line")]
     figures = []
     for k in range(found.allan_mg[0].shape[1]):
         series = [

@@ -57,12 +57,7 @@ FORMATS = (
         options=("name",),
         meaning="gravity and angle in C, fixed point and float",
     ),
-    Format(
-        "json",
-        (".json",),
-        "document",
-        meaning="calibration, fit or trace, facts of the session",
-    ),
+    Format("json", (".json",), "document", meaning="calibration, fit or trace, facts of the session"),
     Format(
         "csv",
         (".csv", ".csv.gz"),

@@ -20,6 +20,7 @@ from adis_gonio.base.output import ends_in
 from adis_gonio.calibrate.calibration import Calibration, Coefficient, EffectTerm, NotCorrected
 from adis_gonio.calibrate.calibration_document import any_calibration_in, calibration_in
 from adis_gonio.calibrate.gyro_calibration import GyroCalibration
+from adis_gonio.fitting.determination import determine, is_determined
 from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.terms import NamedTerm, Term
 from adis_gonio.fitting.fit_result import as_written, assumed_parameters, known_provenance, outputs_of
@@ -67,6 +68,7 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
     others = [term for term in final.terms if term not in standing and not term.constant]
     left = [_reason_not_corrected(term, result, middle_s(final)) for term in others] + _unnamed_part(result)
     fit, inflation = _refit_without(final, others, result.inflation)
+    fit, unseen = _with_unseen_biases(fit)
     corrected = [term for term in fit.terms if isinstance(term, NamedTerm) and term in standing]
     rows, matrix = _stated_with_covariance(fit, corrected, inflation)
     sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))
@@ -80,7 +82,7 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
         EffectTerm(term.effect, tuple(next(last).name for _ in term.effect.parameters))
         for term in corrected
     )
-    names = [one.name for one in parameters if one.u is not None]
+    names = {one.name for one in parameters if one.u is not None} | {*_biases(fit), "alpha"}
     return as_written(
         Calibration(
             method="trace",
@@ -89,7 +91,7 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
             covariance=matrix if fit.data.noise_known or inflation != 1 else None,
             effects=effects,
             not_corrected=tuple(left),
-            assumed=assumed_parameters(fit.data.model, [*names, *_biases(fit), "alpha"]),
+            assumed=assumed_parameters(fit.data.model, sorted(names - unseen)),
             counts_per_mg=None if fit.data.unit.known else tuple(fit.data.unit.per_mg.tolist()),
             ratio_dof=result.dof,
         )
@@ -140,6 +142,23 @@ def _refit_without(fit: Fit, terms: Sequence[Term], inflation: float) -> tuple[F
     again = Fit(fit.data, tuple(term for term, _ in kept), values, fit.with_prior).refit()
     misfit = again.chi2 / again.dof if again.dof > 0 else 1.0
     return again, max(inflation, misfit)
+
+
+def _with_unseen_biases(fit: Fit) -> tuple[Fit, set[str]]:
+    """Add the biases that the readings do not determine: zero, with the uncertainty of an unknown part.
+
+    Returned are the fit and the names of these biases. An error of such a bias moves the other parameters,
+    too. A bias of a size that nothing states is not added.
+    """
+    found, sizes = determine(fit.data), fit.data.unseen_bias_mg
+    ways = np.eye(len(found.free))[-len(sizes) :]  # the biases are the last parameters
+    lost = [k for k, way in enumerate(ways) if not (way @ found.free and is_determined(way, found.null))]
+    added = [k for k in lost if sizes[k] and AXES[k] not in bias_places(fit)]
+    terms = [NamedTerm.offset(AXES[k], sizes[k]) for k in added]
+    if terms:
+        values = replace(fit.values, terms=(*fit.values.terms, *(np.zeros(1) for _ in terms)))
+        fit = Fit(fit.data, (*fit.terms, *terms), values, fit.with_prior)
+    return fit, {f"bias_{AXES[k]}" for k in added}
 
 
 def _stated_with_covariance(
@@ -265,12 +284,11 @@ def gyro_calibration_of_trace(result: TraceResult) -> GyroCalibration:
     kept = [term for term in final.terms if isinstance(term, NamedTerm) and term.effect.correctable]
     left = [_not_corrected(one) for one in final.terms if one not in kept]
     left += _unnamed_part(result)
-    shown = [(one.name, one.unit) for one in final.data.model.parameters]
-    places = list(range(len(shown)))
-    for term in kept:
-        start = final.slice_of(final.terms.index(term)).start
-        places += range(start, start + len(term.effect.parameters))
-        shown += [(one.name, one.unit) for one in term.effect.parameters]
+    base = final.data.model.parameters
+    shown = [(one.name, one.unit) for one in base]
+    shown += [(one.name, one.unit) for term in kept for one in term.effect.parameters]
+    # Places of the base parameters, then of the parameters of each kept effect.
+    places = np.r_[: len(base), *(final.slice_of(final.terms.index(term)) for term in kept)]
     covariance = final.covariance[np.ix_(places, places)]
     stated, values, matrix = stated_parameters(
         [name for name, _ in shown], final.values.parameters[places], covariance

@@ -210,6 +210,16 @@ class Readings(ComputedOnce):
         return int(self.mean.shape[1])
 
     @property
+    def unseen_bias_mg(self) -> Floats:
+        """Standard uncertainty (axes,) in mg of a bias that no reading shows; 0 if nothing states it.
+
+        It is the figure of the part. Numbers in the offset registers may compensate a bias, or add to it:
+        their size is a part of u.
+        """
+        figure = VARIANTS[self.sensor].performance.initial_bias_mg if self.sensor in VARIANTS else 0.0
+        return np.hypot(figure, self.offset_mg[: self.axes])
+
+    @property
     def planar(self) -> bool:
         """True if the sensor turns in a known plane, False for any attitude in space."""
         return self.model.planar
