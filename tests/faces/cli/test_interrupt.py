@@ -1,5 +1,6 @@
 """Ctrl-C between two steps loses nothing, and while something is waited for it ends the wait at once."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -90,3 +91,17 @@ def test_ctrl_c_ends_with_130_and_not_by_the_signal_wherever_it_comes(work, tmp_
     assert done.returncode == 130, done.stderr
     assert done.stdout == "said\n"
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+@pytest.mark.parametrize("ignored", [[], ["trap '' INT;"]])
+def test_a_request_to_end_ends_a_program_that_waits_also_if_ctrl_c_is_ignored(tmp_path, ignored):
+    """As in the background of a script, whose shell ignores Ctrl-C for it."""
+    lines = ["import os, signal, time", "from adis_gonio.faces import cli"]
+    lines += ["def main():", "    os.kill(os.getpid(), signal.SIGTERM)", "    time.sleep(300)"]
+    (tmp_path / "program.py").write_text("\n".join([*lines, "cli.main = main", "cli.run()", ""]))
+    script = " ".join([*ignored, f"exec {sys.executable} -m program"])
+    done = subprocess.run(
+        ["sh", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=200, check=False
+    )
+    assert (done.returncode, done.stderr) == (130, "")

@@ -83,8 +83,11 @@ def read_all(inner: int, shown: list[bytes]) -> None:
     shown.append(b"")
 
 
-@pytest.mark.parametrize("piped", [True, False])
-def test_ctrl_c_ends_it_with_the_register_set_back(board, tmp_path, piped):
+@pytest.mark.parametrize(
+    ("piped", "number"),
+    [(True, signal.SIGINT), (False, signal.SIGINT), (True, signal.SIGTERM), (True, signal.SIGHUP)],
+)
+def test_ctrl_c_or_a_request_to_end_ends_it_with_the_register_set_back(board, tmp_path, piped, number):
     out = tmp_path / "rest.csv"
     command = [sys.executable, "-m", "adis_gonio", "stream", f"serial:{board.path}", *ACCEL, "-o", str(out)]
     inner, outer = (None, subprocess.PIPE) if piped else os.openpty()
@@ -95,7 +98,7 @@ def test_ctrl_c_ends_it_with_the_register_set_back(board, tmp_path, piped):
     with running(command, stdout=outer, stderr=subprocess.PIPE) as program:
         wait_until(lambda: out.exists() and out.read_text().count("\n") > 100)
         assert registers_of(board) == 4
-        program.send_signal(signal.SIGINT)
+        program.send_signal(number)
         screen, told = program.communicate(timeout=300)
     if not piped:
         os.close(outer)

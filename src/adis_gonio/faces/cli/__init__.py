@@ -14,6 +14,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
+from types import FrameType
 
 import click
 
@@ -129,6 +130,14 @@ def _fail(message: str, status: int) -> int:
     return status
 
 
+def _end(number: int, frame: FrameType | None) -> None:
+    """Treat a request to end, or a closed terminal, like Ctrl-C: the sensor's registers are restored."""
+    interrupt = signal.getsignal(signal.SIGINT)
+    if not callable(interrupt):  # Ctrl-C is ignored, such as in the background
+        raise KeyboardInterrupt
+    interrupt(number, frame)
+
+
 def run() -> None:
     """Run the `adis-gonio` program and end the process with its exit status."""
     replace_missing_letters()
@@ -136,6 +145,10 @@ def run() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Most objects live until the end of the process, which frees them faster than the garbage collector.
     gc.set_threshold(10_000)
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, _end)
     status = 130
     # The exit status is decided here: a late Ctrl-C must not turn it into a death by signal.
     with suppress(KeyboardInterrupt):  # a second one, while main reports the first
