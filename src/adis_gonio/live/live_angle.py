@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -91,11 +91,12 @@ def sensing_of(measuring: Measuring, part: str, noise_mg: float) -> Sensing:
     filter_m = settings.filter_m if settings else 0
     range_dps = settings.gyro_range_dps if settings else None
     noise_mg /= white_noise_gain(filter_m)
+    sensing = Sensing(period_s, noise_mg, GENERIC_WALK_DEG / math.sqrt(period_s), filter_m, range_dps)
     if part not in VARIANTS:
-        return Sensing(period_s, noise_mg, GENERIC_WALK_DEG / math.sqrt(period_s), filter_m, range_dps)
+        return sensing
     known = VARIANTS[part].performance
-    noise, drift = (noise_mg, known.gyro_noise_dps), (known.bias_instability_mg, known.initial_bias_mg)
-    return Sensing(period_s, *noise, filter_m, range_dps, *drift)
+    drift_mg, bias_mg = known.bias_instability_mg, known.initial_bias_mg
+    return replace(sensing, gyro_noise_dps=known.gyro_noise_dps, drift_mg=drift_mg, bias_mg=bias_mg)
 
 
 def corrected_angle(
@@ -306,12 +307,13 @@ class AngleMeter:
         u_mg = self._smoother.gravity_u_mg(len(accel))
         spread_mg = still = None
         if len(self._kept) > 1:
-            spread_mg = self._kept.std(axis=0, ddof=1)
-        if spread_mg is not None and len(self._kept) >= self._window:
-            # Only the upper limit is tested: a stuck axis is reported by `bringup`.
-            still = bool((spread_mg <= self._limits.upper).all())
-            if still:
-                self._check_at_rest(mean, temperature_c, float(spread_mg.max()))
+            spreads = self._kept.std(axis=0, ddof=1)
+            spread_mg = float(spreads.max())
+            if len(self._kept) >= self._window:
+                # Only the upper limit is tested: a stuck axis is reported by `bringup`.
+                still = bool((spreads <= self._limits.upper).all())
+                if still:
+                    self._check_at_rest(mean, temperature_c, spread_mg)
         end_s = float(blocks[-1].time_s[-1])
         raw_deg, u_deg = self._raw(mean, u_mg)
         corrected_deg = None
@@ -322,10 +324,17 @@ class AngleMeter:
         doubts = {"calibration": self._off_deg > 0, "alarm": any(map(count_alarms, blocks))}
         notes = tuple(name for name, holds in doubts.items() if holds)
         return LiveAngle(
-            end_s - first_s, raw_deg, corrected_deg, u_deg, still,
-            None if spread_mg is None else float(spread_mg.max()),
-            temperature_c, self._lost, self._smoothed(end_s, notes), notes,
-        )  # fmt: skip
+            end_s - first_s,
+            raw_deg,
+            corrected_deg,
+            u_deg,
+            still,
+            spread_mg,
+            temperature_c,
+            self._lost,
+            self._smoothed(end_s, notes),
+            notes,
+        )
 
     def _raw(self, mean_mg: Floats, u_mg: float) -> tuple[float, float | None]:
         length_mg = math.hypot(mean_mg[0], mean_mg[1])

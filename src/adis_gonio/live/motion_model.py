@@ -299,12 +299,12 @@ class Stepper:
             seen = (float(rate[2]) - self._rate_before) ** 2 / length_s
             self._walk += min(1.0, length_s) * (seen - self._walk)
         self._rate_before = float(rate[2])
-        known = not math.isnan(rows[-1, 7])
+        turned = np.zeros(3) if first else mean_turn
+        gravity = np.array([level.real, -level.imag, accel[:, 2].mean()])
+        warm = None if math.isnan(rows[-1, 7]) else float(rows[:, 7].mean())
         step = Increment(
-            middle_s, length_s, np.zeros(3) if first else mean_turn, self._unseen, rate,
-            np.array([level.real, -level.imag, accel[:, 2].mean()]), self._gap, saturated,
-            float(rows[:, 7].mean()) if known else None,
-        )  # fmt: skip
+            middle_s, length_s, turned, self._unseen, rate, gravity, self._gap, saturated, warm
+        )
         self._unseen, self._gap = 0.0, 0.0
         self._last[1:4] -= mean_turn  # type: ignore[index]
         return step
@@ -973,9 +973,13 @@ class AngleSmoother:
         drift_dps = mean[ZERO] + at.force_g @ mean[[G_X, G_Y]]
         drift_deg = math.degrees(self._sensing.drift_rms_mg / max(abs(at.gravity), 1.0))
         return SmoothedAngle(
-            at.increment.time_s - self._sensing.delay_s,
-            wrap_degrees(float(mean[ANGLE])), math.hypot(float(u[ANGLE]), drift_deg),
-            at.rate_dps * (1 - float(mean[SCALE])) - float(drift_dps), float(mean[ZERO]), float(u[ZERO]),
-            at.increment.accel_mg, at.increment.temperature_c,
-            (*notes, "gyro_calibration") if self._doubted else notes,
-        )  # fmt: skip
+            time_s=at.increment.time_s - self._sensing.delay_s,
+            angle_deg=wrap_degrees(float(mean[ANGLE])),
+            u_deg=math.hypot(float(u[ANGLE]), drift_deg),
+            rate_dps=at.rate_dps * (1 - float(mean[SCALE])) - float(drift_dps),
+            zero_dps=float(mean[ZERO]),
+            zero_u_dps=float(u[ZERO]),
+            accel_mg=at.increment.accel_mg,
+            temperature_c=at.increment.temperature_c,
+            notes=(*notes, "gyro_calibration") if self._doubted else notes,
+        )

@@ -9,13 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from adis_gonio.base.errors import UsageError
-from adis_gonio.device.sensor.registers import (
-    BY_ADDRESS,
-    BY_NAME,
-    REGISTERS,
-    Register,
-    register,
-)
+from adis_gonio.device.sensor.registers import BY_ADDRESS, BY_NAME, REGISTERS, Register, register
 
 TOLERANCE_S = 1e-9
 """Tolerance in s when a stall or period is compared with its limit; it covers the rounding of float64."""

@@ -303,12 +303,7 @@ class WorldSettings(GyroSettings):
                 raise UsageError(f"{entry.name} must {entry.metadata['must']}, not {value}")
 
     @classmethod
-    def from_options(
-        cls,
-        options: Mapping[str, str],
-        *,
-        others: tuple[str, ...] = (),
-    ) -> Self:
+    def from_options(cls, options: Mapping[str, str], *, others: tuple[str, ...] = ()) -> Self:
         """Create settings from texts, such as the options of a URL.
 
         Parameters

@@ -53,10 +53,7 @@ MISFIT = (
 @option.command(
     "stream",
     "--seconds --output --registers",
-    {
-        "Measuring": "--rate --filter --range --poll --leave-registers",
-        "File": "--gravity",
-    },
+    {"Measuring": "--rate --filter --range --poll --leave-registers", "File": "--gravity"},
 )
 @option.url
 @click.option("--registers", "names", help="Registers to scan, separated by commas.", metavar="NAME,…")

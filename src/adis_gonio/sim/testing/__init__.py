@@ -30,9 +30,6 @@ if TYPE_CHECKING:
         open_board as open_board,
         open_simulated as open_simulated,
     )
-    from adis_gonio.sim.testing.faults import (
-        Faults as Faults,
-        FaultyBus as FaultyBus,
-    )
+    from adis_gonio.sim.testing.faults import Faults as Faults, FaultyBus as FaultyBus
 
 __getattr__ = lazily(__name__, _HOMES)

@@ -257,10 +257,7 @@ class BoardStage(SimStage):
 
 
 def open_board(
-    url: str = DEFAULT_URL,
-    *,
-    faults: Faults | None = None,
-    boot_s: float = 0.0,
+    url: str = DEFAULT_URL, *, faults: Faults | None = None, boot_s: float = 0.0
 ) -> SimulatedBoard:
     """Open a simulated board; a URL of the simulator describes the chip and its world.
 
