@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adis_gonio.base.errors import OutputError
+from adis_gonio.base.errors import OutputError, UsageError
 from adis_gonio.bench.runner import SessionRunner
 from adis_gonio.device.sensor import open_sensor
 from adis_gonio.device.sensor.scanning import PolledScans
@@ -73,6 +73,15 @@ def test_the_rows_before_a_full_disk_or_a_kill_can_be_read(tmp_path, name):
         with pytest.raises(OutputError, match="its 3000 rows from before are complete"):
             recorder.add(sensor.read_scans(1000))
     assert sum(map(len, load_session(path).dwells)) > 2500
+
+
+def test_a_recorder_leaves_a_file_that_came_to_exist_before_its_first_block(tmp_path):
+    path = tmp_path / "a.csv"
+    with open_sensor("sim:?seed=2") as sensor, SamplesRecorder(path, "adis16354") as recorder:
+        path.write_text("of another program")
+        with pytest.raises(UsageError, match=r"a\.csv: exists already"):
+            recorder.add(sensor.read_scans(10))
+    assert path.read_text() == "of another program"
 
 
 def test_slow_polling_is_noted_in_a_session(tmp_path, monkeypatch):

@@ -239,6 +239,7 @@ class SamplesRecorder(Closing):
             raise UsageError(f"{path}: a recording is named .csv or .csv.gz")
         self.path = path
         self.rows = 0
+        self._mode = "wb" if force else "xb"
         self._size = 0
         self.notes: list[str] = []
         stated = {
@@ -254,7 +255,15 @@ class SamplesRecorder(Closing):
         """The open file; until the first block an empty one in memory, so that an old file stays."""
 
     def add(self, block: Block) -> None:
-        """Append the samples of a block to the file, which the first block creates."""
+        """Append the samples of a block to the file, which the first block creates.
+
+        Raises
+        ------
+        UsageError
+            The file has come to exist since the recorder was made, and `force` is not set.
+        OutputError
+            The file cannot be written.
+        """
         columns, text = records.Dwell(0, block.time_s, **block_series(block)).columns(), io.StringIO()
         del columns["position"]
         if not self._size:
@@ -269,9 +278,11 @@ class SamplesRecorder(Closing):
         data = gzip.compress(data, mtime=0) if ends_in(self.path, ".gz") else data
         try:
             if not self._size:
-                self._file = self.path.open("wb")
+                self._file = self.path.open(self._mode)
             self._file.write(data)
             self._file.flush()
+        except FileExistsError:
+            raise exists_error(self.path) from None
         except OSError as error:
             # Close the file, and remove the rows of the failed block.
             with suppress(OSError):
