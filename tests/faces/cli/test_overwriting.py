@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import stat
+
 import pytest
 
 from adis_gonio.faces.cli import COMMANDS, app, main
@@ -122,3 +125,11 @@ def test_force_keeps_the_old_file_if_a_command_measures_nothing(command, tmp_pat
     assert main([*command, "--force"]) != 0
     assert old.read_text() == "mine"
     assert {path.name for path in tmp_path.iterdir()} == {"old.json", old.name}
+
+
+def test_a_forced_simulation_does_not_replace_a_pipe(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("a.session")
+    assert main(["simulate", "-o", "a.session", "--force"]) == 2
+    assert "a.session: exists already" in capsys.readouterr().err
+    assert stat.S_ISFIFO(os.stat("a.session").st_mode)

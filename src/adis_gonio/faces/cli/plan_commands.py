@@ -281,7 +281,8 @@ def simulate_command(*, output: Path, date: datetime | None, **options: Any) -> 
     ):
         archive = Path(folder) / "simulated.session" if as_csv else output
         world = sensor.bus.world  # type: ignore[attr-defined]  # the simulator's bus has one
-        archive.unlink(missing_ok=True)
+        if archive.is_file():
+            archive.unlink()
         runner = SessionRunner.begin(
             sensor,
             archive,
