@@ -223,9 +223,8 @@ def _propagated(linear: Value, values: Floats, sources: Sources, gradient: Float
     doubt = math.sqrt(max(kurtosis - 1, 1e-3) / (4 * n))
     low, high = np.quantile(centred, [0.5 * (1 - COVERED), 0.5 * (1 + COVERED)]) + values.mean()
     wide = _students_u(sources, gradient)
-    return Propagated(
-        linear, u, float(low), float(high), doubt, _explain_difference(linear, u, doubt, wide)
-    )
+    reason = _explain_difference(linear, u, doubt, wide)
+    return Propagated(linear, u, float(low), float(high), doubt, reason)
 
 
 def _explain_difference(linear: Value, u: float, doubt: float, wide: float) -> str:

@@ -545,9 +545,8 @@ def _shapes_of(
     for place in np.linspace(one.middle - 0.8 * one.half, one.middle + 0.8 * one.half, 9):
         for side, sign in zip(sides, (1.0, -1.0), strict=True):
             shape = knee_shape((place - one.middle) / one.half, sign)
-            yield from _variants(
-                name, f"a knee at {letter} = {place:.4g}{unit} ({side})", one.inside(shape)
-            )
+            form = f"a knee at {letter} = {place:.4g}{unit} ({side})"
+            yield from _variants(name, form, one.inside(shape))
     for place in np.linspace(one.middle - 0.75 * one.half, one.middle + 0.75 * one.half, 7):
         for width in widths:
             form = f"a bump at {letter} = {place:.4g}{unit} of width {width * one.half:.3g}{unit}"

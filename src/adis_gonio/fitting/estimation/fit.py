@@ -500,9 +500,8 @@ class Fit:
         held = self._prior[0][:count] > 0
         # A prior is one further row 1/σ with the target (centre − value)/σ.
         rows = np.concatenate([self.jacobian[:, :count], np.diag(self._prior[0][:count])[held]])
-        right = np.concatenate(
-            [left, np.repeat(-self._prior_distance[:count, None][held], left.shape[1], axis=1)]
-        )
+        to_centre = -self._prior_distance[:count, None][held]
+        right = np.concatenate([left, np.repeat(to_centre, left.shape[1], axis=1)])
         size = np.linalg.norm(rows, axis=0)
         size[size == 0] = 1.0
         return np.asarray(np.linalg.lstsq(rows / size, right, rcond=1e-9)[0] / size[:, None])

@@ -326,9 +326,8 @@ def _flicker_at_foot(groups: list[_Ordinates]) -> tuple[bool, bool]:
     filtered = _whittle(np.stack([one, x**2, x**4], axis=1), total, mean)[2]
     white_and_flicker = _whittle(one[:, None], total, mean, 1 / x)[2]
     power, _, alone = _whittle(np.stack([one, np.log(x)], axis=1), total, mean)
-    return white_and_flicker < filtered - _CLEARLY, bool(
-        -1.5 < power[1] < -0.6 and alone < filtered - _CLEARLY
-    )
+    all_flicker = bool(-1.5 < power[1] < -0.6 and alone < filtered - _CLEARLY)
+    return white_and_flicker < filtered - _CLEARLY, all_flicker
 
 
 def _lowest(groups: list[_Ordinates]) -> tuple[Floats, Floats]:
