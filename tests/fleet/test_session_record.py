@@ -148,6 +148,17 @@ def test_a_trace_says_which_effects_and_the_answer_is_that_of_the_traced_model(t
     assert math.isfinite(record.values["delta_phi"].U)
 
 
+def test_a_traced_session_without_a_bias_states_that_it_is_zero(tmp_path, monkeypatch):
+    """A session after the biases were compensated in the chip; its ΔK and Δφ belong in a history."""
+    url = "sim:?seed=3&bias_x_mg=0&bias_y_mg=0&effects=quadratic:k2_x=8"
+    path = recorded(tmp_path / "written.session", monkeypatch, url=url, name="tumble")
+    record = record_of(path, trace=True)
+    assert record.model_effects == ("quadratic",)
+    fitted = adis_gonio.fit(path).parameters
+    for name in ("bias_x", "bias_y"):
+        assert (record.values[name].value, record.values[name].u) == (0.0, fitted[name].u)
+
+
 def test_a_session_is_read_once_for_record_and_evidence(tmp_path, monkeypatch):
     (path,) = write_fleet(tmp_path / "fleet", 1, seed=9)
     read = []

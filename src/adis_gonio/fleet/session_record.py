@@ -9,7 +9,7 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -387,13 +387,18 @@ def _facts(session: Session) -> dict[str, Any]:
 
 def _results(session: Session, *, trace: bool) -> dict[str, Any]:
     from adis_gonio.fitting.methods import fit
+    from adis_gonio.tracing.findings import biases_at_middle
     from adis_gonio.tracing.trace import trace as traced_by
     from adis_gonio.tracing.traced_answer import answer_with_trace
 
     found = traced_by(session) if trace else None
     answer = answer_with_trace(fit(session), found)
     score = answer.scores.get(answer.scored_as)
-    known = {**answer.parameters, **answer.values}
+    # A bias that the readings could show, but the traced model does not need, is zero with the u of the fit.
+    fitted = {n: v for n, v in answer.result.parameters.items() if n.startswith("bias_")}
+    inside = biases_at_middle(found.fits[-1]) if found is not None and found.fits else {}
+    biases = {n: replace(v, value=inside[n][0] if n in inside else 0.0) for n, v in fitted.items()}
+    known = {**biases, **answer.parameters, **answer.values}
     results: dict[str, Any] = {
         "method": answer.recommended.method,
         "model_effects": answer.recommended.effects,
