@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import stat
 
 import pytest
 
@@ -132,4 +131,4 @@ def test_a_forced_simulation_does_not_replace_a_pipe(tmp_path, monkeypatch, caps
     os.mkfifo("a.session")
     assert main(["simulate", "-o", "a.session", "--force"]) == 2
     assert "a.session: exists already" in capsys.readouterr().err
-    assert stat.S_ISFIFO(os.stat("a.session").st_mode)
+    assert (tmp_path / "a.session").is_fifo()
