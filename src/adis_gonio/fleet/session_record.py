@@ -394,7 +394,7 @@ def _results(session: Session, *, trace: bool) -> dict[str, Any]:
     found = traced_by(session) if trace else None
     answer = answer_with_trace(fit(session), found)
     score = answer.scores.get(answer.scored_as)
-    # A bias that the readings could show, but the traced model does not need, is zero with the u of the fit.
+    # A bias that the fit determines, but the traced model does not need, is zero with the u of the fit.
     fitted = {n: v for n, v in answer.result.parameters.items() if n.startswith("bias_")}
     inside = biases_at_middle(found.fits[-1]) if found is not None and found.fits else {}
     biases = {n: replace(v, value=inside[n][0] if n in inside else 0.0) for n, v in fitted.items()}
