@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from adis_gonio.faces.cli import main
+from adis_gonio.model.records import Dwell
 from adis_gonio.record import segmentation
 from adis_gonio.record.loading import load_session
-from adis_gonio.record.segmentation import segment_with_notes
+from adis_gonio.record.segmentation import segment_with_notes, shows_a_free_turn
 
 RATE = 100.0
 STEP_S = 40.0
@@ -99,19 +100,50 @@ def test_memory_is_less_than_that_of_the_recording(monkeypatch):
     assert peak < sum(array.nbytes for array in whole)
 
 
+def behind_filter(samples, filter_m):
+    """Samples (n, k) behind the chip's filter, without those before it has settled."""
+    taps = np.full(1 << filter_m, 0.5**filter_m)
+    taps = np.convolve(taps, taps)
+    return np.stack([np.convolve(axis, taps, "valid") for axis in samples.T], axis=1)
+
+
 @pytest.mark.parametrize(("rate_hz", "filter_m"), [(20.0, 2), (20.0, 4), (100.0, 4), (100.0, 6)])
 def test_a_rest_behind_a_slow_filter_is_one_dwell_and_a_move_divides_it(rate_hz, filter_m):
     rng = np.random.default_rng(3)
-    count = 1 << filter_m
-    taps = np.convolve(np.full(count, 1 / count), np.full(count, 1 / count))
-    half = 150 * count
+    half = 150 << filter_m
     seen = np.repeat([[1000.0, 0.0, 0.0], [0.0, 1000.0, 0.0]], half, axis=0)
     seen += rng.normal(0.0, 5.0, seen.shape)
-    behind = np.stack([np.convolve(axis, taps, "valid") for axis in seen.T], axis=1)
+    behind = behind_filter(seen, filter_m)
     slices, _ = segment_with_notes(np.arange(len(behind)) / rate_hz, behind, filter_m=filter_m)
     first, second = slices
-    assert first.stop <= half <= second.start + len(taps)
+    assert first.stop <= half <= second.start + len(seen) - len(behind) + 1
     assert min(rows.stop - rows.start for rows in slices) > 0.8 * half
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "filter_m", "turn_s", "rest_s"), [(100.0, 6, 20.0, 5.0), (20.0, 4, 20.0, 5.0)]
+)
+def test_a_turn_in_two_windows_of_a_slow_filter_is_no_dwell_but_a_free_turn(
+    rate_hz, filter_m, turn_s, rest_s
+):
+    rng = np.random.default_rng(3)
+    rest = np.zeros(round(rest_s * rate_hz))
+    rate_dps = np.concatenate([rest, np.full(round(turn_s * rate_hz), 360.0 / turn_s), rest])
+    turned = np.radians(np.cumsum(rate_dps) / rate_hz)
+    seen = np.stack([1000.0 * np.cos(turned), 1000.0 * np.sin(turned), 0 * turned, rate_dps], axis=1)
+    seen = behind_filter(seen + rng.normal(0.0, [5.0, 5.0, 5.0, 0.5], seen.shape), filter_m)
+    time_s, accel, gyro = np.arange(len(seen)) / rate_hz, seen[:, :3], seen[:, [3, 3, 3]] * [0.0, 0.0, 1.0]
+    slices, _ = segment_with_notes(time_s, accel, gyro, filter_m)
+    assert slices == []
+    assert shows_a_free_turn(Dwell(0, time_s, accel, gyro=gyro), slices)
+
+
+def test_rests_shorter_than_the_window_of_a_slow_filter_are_not_one_dwell():
+    rng = np.random.default_rng(3)
+    angles = np.radians(np.repeat(np.arange(12) * 90.0, 600))
+    seen = 1000.0 * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
+    accel = behind_filter(seen + rng.normal(0.0, 5.0, seen.shape), 6)
+    assert segment_with_notes(np.arange(len(accel)) / 100.0, accel, filter_m=6)[0] == []
 
 
 def test_the_filter_that_a_file_states_sets_the_window(tmp_path):

@@ -14,7 +14,9 @@ deviation: the window between two still windows is not still if their means diff
 limit.
 
 A window has at least eight settling times of the chip's filter, if the filter is known: in a shorter one
-the samples are correlated, and their standard deviation shows only a part of the noise.
+the samples are correlated, and their standard deviation shows only a part of the noise. If the sensor
+turns in all windows of this length, the motion counts as noise; a run in which the readings scatter by more
+than the length of their mean is therefore not kept.
 
 Running sums are computed a block of rows at a time, so that memory is needed for little but their results.
 """
@@ -112,7 +114,7 @@ def segment_with_notes(
     is_still[window : window + len(moved)] &= ~(moved & is_still[: -2 * window] & is_still[2 * window :])
     still, flat = _runs_of(is_still), _runs_of(is_flat)
     runs = [slice(first + trim, last + window - trim) for first, last in still]
-    slices = [run for run in runs if run.stop - run.start >= least]
+    slices = [run for run in runs if run.stop - run.start >= least and not _is_turning(accel[run])]
     scatter = ", ".join(f"{value:.3g}" for value in noise)
     notes = [
         f"{counted(len(slices), 'dwell')} found by stillness (window {window * period:.3g} s, noise"
@@ -134,6 +136,14 @@ def _refuse_constant(accel: Floats) -> None:
         )
     if not np.ptp(accel, axis=0).any():
         raise DataError("stuck data: the accelerations never change in the whole recording; record again")
+
+
+def _is_turning(accel: Floats) -> bool:
+    """Return True if readings (n, 3) scatter by more than the length of their mean, which is gravity.
+
+    With fewer axes it returns False, because these may be perpendicular to gravity.
+    """
+    return accel.shape[1] == 3 and bool(sum(axis.var() - axis.mean() ** 2 for axis in accel.T) > 0)
 
 
 def _resolution(values: Floats) -> float:
