@@ -334,7 +334,7 @@ def _control_chart(history: History, limits: Rules) -> Rule:
     days = range(1, round(LONGEST_DAYS) + 1)
     good = bisect(days, False, key=lambda day: not passes(day))
     if good == len(days):
-        why = f"the error conforms to {limit} for {LONGEST_DAYS / YEAR_DAYS:.0f} a, the longest interval"
+        why = f"the error conforms to {limit} for {LONGEST_DAYS / YEAR_DAYS:g} years, the longest interval"
         return Rule(method, date_of(last + LONGEST_DAYS), why, assumes)
     drifts_text = ", ".join(
         f"{NAMES.get(m, m)} {format_uncertain(one.slope.value, one.slope.U, one.slope.unit, sign=True)}"
