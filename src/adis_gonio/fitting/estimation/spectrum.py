@@ -383,8 +383,8 @@ def _fit_foot(band: float, cells: _Cells, *, with_flicker: bool) -> _Foot | None
     x, weight, mean, inverse_x = cells
 
     @cache
-    def fitted(order: int, with_flicker: bool) -> tuple[Floats, Floats, float]:
-        return _whittle(_basis(x, order), weight, mean, inverse_x if with_flicker else None)
+    def fitted(order: int, flicker: bool) -> tuple[Floats, Floats, float]:
+        return _whittle(_basis(x, order), weight, mean, inverse_x if flicker else None)
 
     for order in range(min(3, len(x) - 2 * with_flicker)):
         beta, covariance, deviance = fitted(order, with_flicker)
