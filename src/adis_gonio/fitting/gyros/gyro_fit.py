@@ -30,10 +30,10 @@ from adis_gonio.base.arrays import Floats, central_differences, solvable
 from adis_gonio.base.errors import FitError
 from adis_gonio.base.jsonable import json_object
 from adis_gonio.base.numbers import counted
-from adis_gonio.base.uncertainty import INADEQUATE, Value, effective_dof
+from adis_gonio.base.uncertainty import Value, effective_dof
 from adis_gonio.calibrate.gyro_calibration import UNIT_OF, GyroCalibration, gyro_directions
 from adis_gonio.fitting import determination
-from adis_gonio.fitting.estimation.fit import Fit, adequacy
+from adis_gonio.fitting.estimation.fit import Fit
 from adis_gonio.fitting.estimation.readings import GYRO, Readings
 from adis_gonio.fitting.estimation.terms import NamedTerm
 from adis_gonio.fitting.fit_result import FittedParameters
@@ -67,6 +67,8 @@ TIME_BASE_U = 50e-6 / math.sqrt(3)
 """Relative standard uncertainty of the samples' times: a crystal of ±50 ppm, uniform (an estimate, D).
 Times are the host's, so the chip's own clock does not count. An angle is rate times time: all gains
 share this error."""
+LARGEST_SCATTER = 1e4
+"""Largest factor on the variance of the noise by which dwells may scatter, by the prior (D)."""
 LARGEST_DPS = 10.0
 """Zero rate in °/s above which another cause than the gyro is more probable: ten times the typical zero
 rate of this class (D)."""
@@ -165,8 +167,7 @@ class GyroFit(FittedParameters, kw_only=True):
     doubts : tuple of str
         Reasons to doubt the gyros, or that they were at rest; they are also in `warnings`.
     inflation : mapping of str to float
-        Factor on the noise variance of each gyro, by its axis, that explains its residual; 1 if the
-        residual agrees with the measured noise.
+        Factor on the noise variance of each gyro by its residual, by its axis (`scatter_factors`).
     fit : Fit or None
         The fitted model on its readings.
     scores : mapping of str to mapping
@@ -413,18 +414,12 @@ class _Model:
 
     @cached_property
     def inflation(self) -> dict[str, tuple[float, float]]:
-        """Factor on the noise variance of each gyro that explains its residual, and its dof, by axis.
-
-        The factor is 1 if the residual agrees with the measured noise; its degrees of freedom are then the
-        noise's.
-        """
-        out, noise_dof = {}, self.data.noise_dof
-        for k, axis in enumerate(AXES):
-            own = sum(_gyro_of(self.names[j]) == axis for j in np.flatnonzero(self.free))
-            chi2, dof = float((self.fit.residual[:, k] ** 2).sum()), len(self.data) - own
-            agrees = dof <= 0 or adequacy(chi2, dof, noise_dof) >= INADEQUATE / len(AXES)
-            out[axis] = (1.0, noise_dof) if agrees else (chi2 / dof, float(min(dof, noise_dof)))
-        return out
+        """Factor on the noise variance of each gyro by the residuals, and its dof, by axis."""
+        axes = np.array([_gyro_of(name) for name in self.names])[self.free]
+        dof = len(self.data) - np.array([(axes == axis).sum() for axis in AXES])
+        found = scatter_factors((self.fit.residual**2).sum(axis=0), np.maximum(dof, 0))
+        limit = self.data.noise_dof
+        return {axis: (own, min(free, limit)) for axis, (own, free) in zip(AXES, found, strict=True)}
 
     @cached_property
     def reported(self) -> tuple[list[str], Floats, Floats, Floats]:
@@ -604,9 +599,38 @@ def _odds(errors: Mapping[str, Floats]) -> dict[str, float]:
     return odds
 
 
+def scatter_factors(chi2: Floats, dof: NDArray[np.intp]) -> list[tuple[float, float]]:
+    """Return the factor on each gyro's noise variance that the residuals show, and its degrees of freedom.
+
+    With the probability ½ there is only the noise. With ¼ dwells scatter in addition by one factor for all
+    gyros, with ¼ each gyro scatters or not (½) by its own factor. A factor has a log-uniform prior from 1
+    to `LARGEST_SCATTER`. The posterior of the precision, 1/factor, is replaced by the gamma distribution
+    with its mean and variance, so that the parameters have t distributions.
+
+    `chi2` (3,) and `dof` (3,) are χ² of the residuals by the noise, and its degrees of freedom.
+    """
+    from scipy.special import expit, gammainc, gammaln, softmax
+
+    # Each gyro, then all together.
+    shape, rate = np.append(dof, dof.sum()) / 2, np.append(chi2, chi2.sum()) / 2
+    shown = (shape > 0) & (gammainc(shape, rate) > 0)
+    shape, rate = np.where(shown, [shape, rate], 1.0)
+    below = gammainc(shape + np.arange(3)[:, None], rate)
+    evidence = gammaln(shape) + np.log(below[0]) - shape * np.log(rate) + rate
+    evidence = np.where(shown, evidence - math.log(math.log(LARGEST_SCATTER)), -np.inf)
+    # Mean and mean square of the precision, if there is scatter.
+    moments = np.array([shape, shape * (shape + 1)]) / np.array([rate, rate**2]) * below[1:] / below[0]
+    each = expit(evidence[:3])
+    apart = float((np.logaddexp(0, evidence[:3]) - math.log(2)).sum())
+    noise, own, common = softmax([math.log(2), apart, evidence[3]])
+    mean, square = noise + own * (1 - each + each * moments[:, :3]) + common * moments[:, 3:]
+    free = np.maximum(2 * mean**2 / np.maximum(square - mean**2, 1e-12), 1.0)
+    return list(zip((1 / mean).tolist(), free.tolist(), strict=True))
+
+
 def _larger(inflation: Mapping[str, float]) -> str:
-    """Return the ratio of residual to noise of each gyro with a factor above 1, as text; often empty."""
-    large = [f"{axis} {math.sqrt(own):.2g}" for axis, own in inflation.items() if own > 1]
+    """Return the ratio of residual to noise of each gyro that is clearly above 1, as text; often empty."""
+    large = [f"{axis} {math.sqrt(own):.2g}" for axis, own in inflation.items() if own > 2]
     return f"{', '.join(large)} times" if large else ""
 
 
