@@ -184,17 +184,22 @@ def test_a_stream_over_a_real_tty_loses_nothing():
     assert np.diff(times) == pytest.approx(1 / 163.84, rel=0.05)
 
 
-@pytest.mark.parametrize("bridge", ["cp2130:?event_counter=1", "mcp2210:?event_counter=1", "spidev:"])
-def test_a_host_that_stops_at_any_time_of_a_polled_stream_counts_each_update_once(bridge):
+@pytest.mark.parametrize(
+    ("bridge", "count"), [("cp2130:?event_counter=1", 8), ("mcp2210:?event_counter=1", 3), ("spidev:", 8)]
+)
+def test_a_host_that_stops_at_any_time_of_a_polled_stream_counts_each_update_once(bridge, count):
     kind, _, options = bridge.partition(":")
-    for at in range(1, 40):
+    for at in range(1, 30):
         bus, _ = open_bridge(kind, options)
         with Adis16354(bus) as sensor:
             sensor.write("SMPL_PRD", 8)
-            bus._clock = StoppedHost(bus._clock, at)
+            bus._clock = clock = StoppedHost(bus._clock, at)
             with sensor.stream(block_scans=8) as stream:
-                blocks = [next(stream) for _ in range(12)]
+                blocks = [next(stream) for _ in range(count)]
+            if clock.looks < at:
+                break
             times = np.concatenate([block.time_s for block in blocks])
             updates = len(times) + sum(block.lost for block in blocks)
             period_s = sensor.configuration().sample_period_s
         assert updates == pytest.approx(1 + np.ptp(times) / period_s, abs=1.5), at
+    assert at > 15
