@@ -126,10 +126,11 @@ def test_a_content_of_sens_avg_that_is_not_allowed_is_no_stuck_line(word):
 
 
 @pytest.mark.parametrize("level", [0x0000, 0xFFFF])
-def test_a_line_that_sticks_within_a_reading_is_read_again(level):
+@pytest.mark.parametrize("places", [(3, 1), (2, 2)])
+def test_a_line_that_sticks_within_a_reading_is_read_again(places, level):
     bus = FailingLine()
     sensor = Adis16354(bus)
-    left = [3, 1]
+    left = [*places]
 
     def stick(frames, replies):
         if left:

@@ -1,9 +1,11 @@
 """The driver against the simulated chip, and against buses that misbehave on purpose."""
 
+import itertools
 import math
 import random
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,7 +26,7 @@ from adis_gonio.base.errors import (
 from adis_gonio.device.bus import Capability
 from adis_gonio.device.bus.contract import ForwardingBus
 from adis_gonio.device.bus.recording import RecordingBus as FileRecordingBus
-from adis_gonio.device.sensor import DEFAULT_SCAN, Adis16354, Alarm
+from adis_gonio.device.sensor import DEFAULT_SCAN, Adis16354, Alarm, driver
 from adis_gonio.device.sensor.driver import Undo
 from adis_gonio.device.sensor.registers import (
     ACCEL_OFF,
@@ -214,6 +216,20 @@ def test_a_wait_for_the_filter_is_told_within_seconds_and_how_long_it_takes():
         assert 308 < bus.now_s() - begin_s < 340
         sensor.configure(filter_m=5)
     assert told[2][1].endswith("2 min 33 s")
+
+
+def test_the_check_waits_for_the_filter_once_if_the_length_of_the_reading_goes_on_growing(monkeypatch):
+    bus, waits_s, lengths = open_bus(SIM), [], itertools.count(1)
+
+    def growing(stream, count):
+        assert len(waits_s) < 5, "it never ends"
+        waits_s.append(bus.now_s())
+        return SimpleNamespace(numbers=lambda: np.outer([1.0, 2.0], [0, 0, 20.0 * next(lengths)]))
+
+    monkeypatch.setattr(driver, "_take", growing)
+    with pytest.raises(ChipError):
+        Adis16354(bus)
+    assert len(waits_s) == 2
 
 
 @pytest.mark.parametrize(("smpl_prd", "filter_m"), [(0x90, 2), (0xA0, 3), (0xFF, 3)])
