@@ -70,7 +70,7 @@ def test_a_u_of_few_degrees_of_freedom_does_not_raise_the_rate_of_false_alarms()
     """Sessions of an unchanged sensor whose u was estimated with four degrees of freedom."""
     rng = np.random.default_rng(8)
     outside, signals, slopes = [], [], []
-    for _ in range(60):
+    for _ in range(300):
         sessions = []
         for when in years(16):
             held = {
@@ -83,8 +83,8 @@ def test_a_u_of_few_degrees_of_freedom_does_not_raise_the_rate_of_false_alarms()
             signals.append(track.chart.signal is not None)
             slopes.append(abs(track.drift.slope.value) <= track.drift.slope.U)
     assert np.mean(outside) < 0.012  # 0.018 if these u were exact
-    assert np.mean(signals) < 0.06  # 0.10
-    assert np.mean(slopes) > 0.92  # 0.89
+    assert np.mean(signals) < 0.07  # 0.10
+    assert np.mean(slopes) > 0.915  # 0.89
 
 
 def test_effects_of_a_session_without_a_trace_are_unknown_and_not_none_found():
