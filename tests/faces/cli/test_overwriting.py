@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from adis_gonio.faces.cli import COMMANDS, app, main
+from adis_gonio.faces.cli import COMMANDS, app, live_commands, main
 from adis_gonio.record.loading import load_session
 
 SIM = "sim:?seed=1"
@@ -132,3 +132,17 @@ def test_a_forced_simulation_does_not_replace_a_pipe(tmp_path, monkeypatch, caps
     assert main(["simulate", "-o", "a.session", "--force"]) == 2
     assert "a.session: exists already" in capsys.readouterr().err
     assert (tmp_path / "a.session").is_fifo()
+
+
+def test_a_stream_does_not_replace_a_file_that_came_to_exist_since_it_began(tmp_path, monkeypatch, capsys):
+    out = tmp_path / "a.csv"
+    open_stream = live_commands._open_stream
+
+    def slow(*arguments):
+        out.write_text("of another program")
+        return open_stream(*arguments)
+
+    monkeypatch.setattr(live_commands, "_open_stream", slow)
+    assert main(["stream", SIM, "--seconds", "0.1", "-o", str(out)]) == 2
+    assert "a.csv: exists already" in capsys.readouterr().err
+    assert out.read_text() == "of another program"

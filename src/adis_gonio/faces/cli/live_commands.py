@@ -89,6 +89,8 @@ def stream_command(
     and sets it back at the end, also after Ctrl-C. Without edges, or with --poll, it polls the scans. The
     other registers are unchanged unless --rate, --filter or --range is given.
     """
+    # A file that exists when the command begins is one that --force may replace.
+    force = output is not None and output.exists()
     with contextlib.ExitStack() as stack:
         part, configured, open_stream = _open_stream(stack, url, names, chip)
         rate_hz, filter_m = configured["sample_rate_hz"], configured.get("filter_m")
@@ -98,7 +100,7 @@ def stream_command(
 
             title = f"stream {url}"
             recorder = SamplesRecorder(
-                output, part, gravity_mps2=gravity_mps2, title=title, filter_m=filter_m, force=True
+                output, part, gravity_mps2=gravity_mps2, title=title, filter_m=filter_m, force=force
             )
             stack.enter_context(recorder)
         show = ShownStream(max(1, round(LINE_S * rate_hz)), recorder)
