@@ -46,6 +46,11 @@ def test_a_step_among_five_sessions_is_in_the_headline_as_scatter():
     assert "scatter beyond u in bias_x;" in headline(history_of("A7", step))
     still = [made_up(when, u=0.1) for when in years(5)]
     assert "scatter" not in headline(history_of("A7", still))
+    small = [made_up(when, u=0.1, bias_x=0.56 * (n > 2)) for n, when in enumerate(years(5))]
+    history = history_of("A7", small)
+    # One of four quantities has a p-value below 5 % by chance more often than stated.
+    assert 0.05 / 4 < history.tracks["bias_x"].drift.birge_p < 0.05
+    assert "scatter" not in headline(history)
 
 
 def test_without_a_drift_one_is_called_in_no_more_than_five_percent_of_sensors():
