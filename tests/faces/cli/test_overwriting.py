@@ -6,8 +6,10 @@ import os
 
 import pytest
 
+from adis_gonio import open_sensor
 from adis_gonio.faces.cli import COMMANDS, app, live_commands, main
 from adis_gonio.record.loading import load_session
+from adis_gonio.record.samples_writer import SamplesRecorder
 
 SIM = "sim:?seed=1"
 OUTPUTS = {
@@ -103,6 +105,22 @@ def test_no_command_writes_over_the_file_that_it_reads(session, capsys):
 def test_a_missing_folder_of_a_fleet_is_refused(tmp_path, capsys):
     assert main(["fleet", str(tmp_path / "none")]) == 2
     assert capsys.readouterr().out == ""
+
+
+def test_scans_that_are_dropped_keep_the_old_file_until_the_first_row(tmp_path):
+    class Blocks(list):
+        caveat = ""
+
+    old = tmp_path / "old.csv"
+    old.write_text("mine")
+    with open_sensor(SIM) as sensor:
+        scans = sensor.read_scans(8)
+    with SamplesRecorder(old, "adis16354", force=True) as recorder:
+        live_commands.ShownStream(8, recorder).run(Blocks([scans.first(0)]), None)
+        assert old.read_text() == "mine"
+        live_commands.ShownStream(8, recorder).run(Blocks([scans]), None)
+    rows = [line for line in old.read_text("utf-8").splitlines() if line[0].isdigit()]
+    assert len(rows) == 8
 
 
 @pytest.mark.parametrize(
