@@ -17,6 +17,7 @@ from adis_gonio.fitting.methods import fit_readings
 from adis_gonio.handover.register_offsets import offset_words
 from adis_gonio.model.effects import effect
 from adis_gonio.record.provenance import Covered, Provenance
+from adis_gonio.tracing.averaging import AveragedFit
 from calibrate.sessions import (
     directions,
     planar_session,
@@ -155,7 +156,7 @@ def test_u_is_that_of_a_monte_carlo_through_a_solver_of_its_own():
 
 
 def test_readings_without_noise_have_the_u_of_the_parameters():
-    calibration = adis_gonio.fit(planar_session(np.random.default_rng(5), noise_mg=2.0)).calibration()
+    calibration = adis_gonio.fit(planar_session(np.random.default_rng(1), noise_mg=2.0)).calibration()
     accel = np.array([[640.0, 750.0], [-20.0, -990.0]])
     quiet, plain = calibration.angle(accel, reading_u=0.0).u_deg, calibration.angle(accel).u_deg
     assert quiet == pytest.approx(plain)
@@ -259,6 +260,24 @@ def test_u_of_an_angle_from_two_positions_covers_the_biases_that_they_do_not_sho
     rms = np.sqrt(np.mean(np.square(parts), axis=0))
     # 80 draws: a standard deviation is known to 11 % at best.
     assert np.all((rms > 0.6) & (rms < 1.5))
+
+
+def test_u_of_a_bias_that_drifts_unnamed_contains_the_drift_and_the_unseen_bias():
+    """The average of unnamed functions of time leaves the bias at the middle of two positions uncertain."""
+    whole = planar_session(np.random.default_rng(1), noise_mg=2.0, samples=60, angles_deg=(0, 90) * 10)
+    moved = [
+        replace(one, accel=one.accel + np.array([math.sin(0.45 * k), math.cos(0.35 * k)]) * 8)
+        for k, one in enumerate(whole.dwells)
+    ]
+    result = adis_gonio.trace(replace(whole, dwells=tuple(moved), sensor="adis16354"))
+    (final,) = result.fits[-1:]
+    assert isinstance(final, AveragedFit)
+    drift = np.sqrt(np.diag(final.joint_covariance)[-2:])
+    assert drift.min() > 1.0
+    calibration = result.calibration()
+    for name, own in zip(("bias_x", "bias_y"), drift, strict=True):
+        # The initial bias of the ADIS16354 is 10 mg (D).
+        assert calibration[name].u == pytest.approx(math.hypot(own, 10.0), rel=0.01)
 
 
 def test_offsets_for_the_registers_are_refused_if_the_biases_were_taken_as_zero():

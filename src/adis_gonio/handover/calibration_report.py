@@ -149,9 +149,8 @@ def _error_figures(
         series = [Series(angle, error, f"{state} calibration", band, role, "line")]
         if tolerance is not None:
             for k, limit in enumerate((tolerance.limit_deg, -tolerance.limit_deg)):
-                series.append(
-                    Series([0, 360], [limit] * 2, "" if k else "tolerance", None, "model", "line")
-                )
+                label = "" if k else "tolerance"
+                series.append(Series([0, 360], [limit] * 2, label, None, "model", "line"))
         caption = f"Error of the angle {state} calibration; the band is ± U."
         axes = ("angle / °", "error of the angle / °")
         ticks = {float(k): str(k) for k in range(0, 361, 90)}

@@ -391,9 +391,8 @@ def compare(measured: Session, twin: Session, traced: Fit) -> TwinComparison:
     (tau_s, allan), (other_s, other) = curves
     inside = (tau_s >= other_s[0] * 0.999) & (tau_s <= other_s[-1] * 1.001)
     least = 1e-9 * max(float(other.max(initial=0.0)), 1e-99)  # averaging times without any noise
-    logs = [
-        np.interp(np.log(tau_s[inside]), np.log(other_s), np.log(np.maximum(one, least))) for one in other.T
-    ]
+    at, known = np.log(tau_s[inside]), np.log(other_s)
+    logs = [np.interp(at, known, np.log(np.maximum(one, least))) for one in other.T]
     ratio = (ours.chi2 / ours.dof) / (twins.chi2 / twins.dof)
     below = float(fdtr(ours.dof, twins.dof, ratio))
     return TwinComparison(

@@ -68,9 +68,13 @@ def calibration_of_trace(result: TraceResult) -> Calibration:
     others = [term for term in final.terms if term not in standing and not term.constant]
     left = [_reason_not_corrected(term, result, middle_s(final)) for term in others] + _unnamed_part(result)
     fit, inflation = _refit_without(final, others, result.inflation)
-    fit, unseen = _with_unseen_biases(fit)
     corrected = [term for term in fit.terms if isinstance(term, NamedTerm) and term in standing]
     rows, matrix = _stated_with_covariance(fit, corrected, inflation)
+    # Plain fits give the share of the unseen biases; an `AveragedFit` has the covariance of its members.
+    plain = Fit(fit.data, fit.terms, fit.values, fit.with_prior)
+    wider, unseen = _with_unseen_biases(plain)
+    more, less = (_stated_with_covariance(one, corrected, inflation)[1] for one in (wider, plain))
+    matrix = matrix + more - less
     sizes = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     parameters = tuple(
         Coefficient(name, value, u if u > 0 else None, unit, result.dof)
@@ -257,9 +261,8 @@ def _reason_not_corrected(term: Term, result: TraceResult, at_s: float) -> NotCo
     if follows_clock(term):
         why = _CLOCK if term.name is not None else _NAMELESS
         of = "the start angle is that" if term.enters_angle else "bias and gain are those"
-        return NotCorrected(
-            term.shown_as, f"{why}; {of} of the session's middle, {at_s:.4g} s after its start"
-        )
+        at_middle = f"{of} of the session's middle, {at_s:.4g} s after its start"
+        return NotCorrected(term.shown_as, f"{why}; {at_middle}")
     if isinstance(term, NamedTerm) and term.effect.correctable:
         why = result.reasons.get(
             term.effect.name, "the session cannot tell it from an effect that is none of the sensor"
