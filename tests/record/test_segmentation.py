@@ -146,6 +146,18 @@ def test_rests_shorter_than_the_window_of_a_slow_filter_are_not_one_dwell():
     assert segment_with_notes(np.arange(len(accel)) / 100.0, accel, filter_m=6)[0] == []
 
 
+@pytest.mark.parametrize("filter_m", [0, 4, 6])
+def test_a_recording_that_is_too_short_reports_the_length_that_gives_a_dwell(filter_m):
+    rng = np.random.default_rng(3)
+    accel = behind_filter(rng.normal([1000.0, 0.0, 0.0], 5.0, (4000, 3)), filter_m)
+    time_s = np.arange(len(accel)) / 100.0
+    window = max(50, 8 * (2 << filter_m) - 8)
+    (note,) = segment_with_notes(time_s[: window + 50], accel[: window + 50], filter_m=filter_m)[1]
+    needed = round(100.0 * 1.01 * float(note.removesuffix(" s").rpartition(" ")[2]))
+    slices, _ = segment_with_notes(time_s[:needed], accel[:needed], filter_m=filter_m)
+    assert len(slices) == 1
+
+
 def test_the_filter_that_a_file_states_sets_the_window(tmp_path):
     path = tmp_path / "rest.csv"
     arguments = ["stream", "sim:?seed=1", "--rate", "20", "--filter", "4", "--seconds", "120"]

@@ -87,11 +87,10 @@ def segment_with_notes(
     # Half a window: two runs with only one window between them then share no rows.
     trim = max(window // 2, round(TRIM_S / period))
     least = max(2 * _LEAST_WINDOW, window, round(LEAST_S / period))
-    if n < least:
-        return [], [
-            f"the recording lasts {n * period:.2g} s; a dwell needs at least {least * period:.2g} s"
-        ]
     _refuse_constant(accel)
+    if n < least + 2 * trim:
+        needed_s = (least + 2 * trim) * period
+        return [], [f"the recording lasts {n * period:.3g} s; a rest must last at least {needed_s:.3g} s"]
     windows = n - window + 1
     is_flat, is_still = np.zeros(windows, dtype=np.bool_), np.ones(windows, dtype=np.bool_)
     moved = np.zeros(max(windows - 2 * window, 0), dtype=np.bool_)
