@@ -6,6 +6,7 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from adis_gonio.base.conformity import Tolerance
 from adis_gonio.base.errors import UsageError
@@ -165,6 +166,18 @@ def test_repeats_within_a_month_leave_the_date_to_the_staircase(apart):
     moving = repeats(0.02)
     assert moving.by == "control chart"
     assert moving.date < "2015-02-20"
+
+
+def test_a_u_of_few_degrees_of_freedom_gives_the_date_of_the_normal_u_of_equal_expanded_u():
+    dates = []
+    for dof, factor in ((4.0, 1.0), (math.inf, stats.t.ppf(0.975, 4) / stats.norm.ppf(0.975))):
+        sessions = []
+        for n in range(5):
+            one = made_up(f"{2015 + n}-01-01", u=0.01 * factor, delta_phi=0.01 * n)
+            values = {name: replace(value, dof=dof) for name, value in one.values.items()}
+            sessions.append(replace(one, values=values))
+        dates.append(due_of(of(*sessions), LIMIT).rules[1].date)
+    assert dates[0] == dates[1] > "2019-01-01"
 
 
 def test_uncertainty_brings_the_date_forward():
