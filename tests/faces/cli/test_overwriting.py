@@ -107,6 +107,16 @@ def test_a_missing_folder_of_a_fleet_is_refused(tmp_path, capsys):
     assert capsys.readouterr().out == ""
 
 
+def test_force_replaces_a_file_by_a_simulated_session(tmp_path):
+    path = tmp_path / "old.session"
+    path.write_text("mine")
+    command = ["simulate", "--plan", "two-position", "--dwell", "0.5", "-o", str(path)]
+    assert main(command) == 2
+    assert path.read_text() == "mine"
+    assert main([*command, "--force"]) == 0
+    assert len(load_session(path).dwells) == 2
+
+
 def test_scans_that_are_dropped_keep_the_old_file_until_the_first_row(tmp_path):
     class Blocks(list):
         caveat = ""
