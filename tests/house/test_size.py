@@ -6,7 +6,7 @@ import tokenize
 from pathlib import Path
 
 SOURCE = Path(__file__).resolve().parents[2] / "src" / "adis_gonio"
-MOST_LINES = 45_556
+MOST_LINES = 45_553
 """Lines of code of the package; a change may lower this number."""
 MOST_FILES = 218
 SILENT = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}
