@@ -589,6 +589,17 @@ def test_the_map_of_clocks_never_runs_backwards(steps):
         at += span + 0.001
 
 
+def answered_late(ask, clock, late_s):
+    """Return a function like `ask` after which the host is busy for `late_s` seconds."""
+
+    def late(*request):
+        reply = ask(*request)
+        clock.sleep_s(late_s)
+        return reply
+
+    return late
+
+
 def test_scans_of_a_stream_follow_those_of_a_stream_whose_start_was_answered_late(monkeypatch):
     bench = Bench()
     bus = bench.open()
@@ -596,8 +607,7 @@ def test_scans_of_a_stream_follow_those_of_a_stream_whose_start_was_answered_lat
     ask, times = bus._ask, []
     for late_s in (0.2, 0.0, 0.1, 0.0):
         with monkeypatch.context() as patch:
-            late = lambda *request, s=late_s: (ask(*request), bench.clock.sleep_s(s))[0]  # noqa: E731
-            patch.setattr(bus, "_ask", late)
+            patch.setattr(bus, "_ask", answered_late(ask, bench.clock, late_s))
             stream = bus.stream(SEVEN, block_scans=16)
         times += [next(stream).time_s for _ in range(12)]
         stream.close()
