@@ -264,8 +264,8 @@ def open_board(
     Parameters
     ----------
     url : str
-        URL of the simulator, such as `sim:?seed=3&delta_k=0.01&move_speed_dps=360`; the same URL gives
-        `open_simulated` a sensor with the same hidden parameters.
+        URL of the simulator, such as `sim:?seed=3&delta_k=0.01&move_speed_dps=360`. A sensor that
+        `open_simulated` opens with this URL has equal hidden parameters.
     faults : Faults or None
         Faults of the serial line, see `SimulatedBoard`; each board draws from its own copy.
     boot_s : float
